@@ -1,0 +1,1 @@
+"""Contact: detection between fibres and obstacles, and assembly of the contact Jacobian."""

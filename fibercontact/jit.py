@@ -1,0 +1,56 @@
+"""The one place that says how kernels are compiled and where the compiled code is kept.
+
+Numba's disk cache looks at the file of the compiled function only, never at the files of the functions it
+calls. So the cache lives in a folder named after the content of every source file of the package: an edit
+anywhere opens a new folder, and nothing stale is ever read.
+"""
+
+import hashlib
+import os
+import sys
+from collections.abc import Callable, Iterable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numba
+
+__all__ = ["cache_folder", "content_key", "jit"]
+
+_PACKAGE = Path(__file__).parent
+_KEPT = 8  # cache folders of older sources that stay on disk
+
+
+def content_key(files: Iterable[Path]) -> str:
+    """Hash of the names and contents of source files, 16 hexadecimal digits."""
+    digest = hashlib.sha256(f"{numba.__version__} {sys.version}".encode())
+    for file in sorted(files):
+        digest.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
+    return digest.hexdigest()[:16]
+
+
+@cache
+def cache_folder() -> Path:
+    """Folder of the compiled kernels of this version of the sources (`FIBERCONTACT_CACHE` moves its root)."""
+    root = os.environ.get("FIBERCONTACT_CACHE") or Path(
+        os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "fibercontact"
+    )
+    return Path(root) / content_key(_PACKAGE.rglob("*.py"))
+
+
+def _use_cache_folder() -> None:
+    if os.environ.get("NUMBA_CACHE_DIR"):
+        return
+    numba.config.CACHE_DIR = str(cache_folder())
+
+
+def jit(function: Callable[..., Any]) -> Any:
+    """Compile `function` lazily, read it from the disk cache in later processes.
+
+    Division by zero gives inf or NaN as in numpy (`error_model="numpy"`), so kernels return a status instead
+    of raising, and no fast-math is used: NaN must be seen.
+    """
+    return numba.njit(cache=True, error_model="numpy")(function)
+
+
+_use_cache_folder()

@@ -1,0 +1,1 @@
+"""Rods: kinematics from curvatures, dynamics, the linearly implicit step."""
