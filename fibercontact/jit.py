@@ -15,7 +15,7 @@ from typing import Any
 
 import numba
 
-__all__ = ["cache_folder", "content_key", "jit"]
+__all__ = ["cache_folder", "content_key", "jit", "jit_inline"]
 
 _PACKAGE = Path(__file__).parent
 _KEPT = 8  # cache folders of older sources that stay on disk
@@ -51,6 +51,14 @@ def jit(function: Callable[..., Any]) -> Any:
     of raising, and no fast-math is used: NaN must be seen.
     """
     return numba.njit(cache=True, error_model="numpy")(function)
+
+
+def jit_inline(function: Callable[..., Any]) -> Any:
+    """Compile `function` into each caller: for a loop whose ingredient is a jitted function passed as argument.
+
+    A dispatcher passed by value would make its caller uncacheable; inlined, it is a direct call.
+    """
+    return numba.njit(cache=True, error_model="numpy", inline="always")(function)
 
 
 _use_cache_folder()

@@ -1,0 +1,1 @@
+"""Block Gauss–Seidel: the outer loop over any local solver."""

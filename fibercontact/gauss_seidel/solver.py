@@ -1,0 +1,182 @@
+"""Block Gauss–Seidel over a local solver: the loop of THEORY §4, plain or accelerated."""
+
+import math
+import time
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fibercontact.gauss_seidel.anderson import Acceleration, no_memory
+from fibercontact.gauss_seidel.loop import compile_loop, run_sweeps, scale_impulse
+from fibercontact.gauss_seidel.sweep import (
+    COUNTERS,
+    BlockSystem,
+    Sweeper,
+    block_system,
+    residual_from,
+    velocity,
+)
+from fibercontact.local.contract import Status
+from fibercontact.local.registry import Configured
+from fibercontact.problem.incremental import IncrementalProblem
+from fibercontact.problem.measure import relative
+
+__all__ = ["GaussSeidel", "Outcome", "Run", "Visits"]
+
+Array = NDArray[np.float64]
+
+SLICE_SECONDS = 0.05
+"""The clock is looked at about this often: between slices of sweeps."""
+
+
+class Outcome(IntEnum):
+    """How a run ended, by its own account."""
+
+    CONVERGED = 0
+    SWEEPS = 1
+    TIME = 2
+    NOT_FINITE = 3
+
+    @property
+    def sentence(self) -> str:
+        """The outcome in words."""
+        return (
+            "the residual met the tolerance",
+            "the sweeps were exhausted",
+            "the time was exhausted",
+            "the residual is not finite",
+        )[self]
+
+
+@dataclass(frozen=True)
+class Visits:
+    """What happened at the local solves of a run."""
+
+    by_status: dict[Status, int]
+    open: int
+    stick: int
+    slip: int
+    iterations: int
+
+    @property
+    def failures(self) -> int:
+        """Local solves that ended in any status but `CONVERGED`."""
+        return sum(count for status, count in self.by_status.items() if status != Status.CONVERGED)
+
+    @property
+    def total(self) -> int:
+        """All local solves."""
+        return sum(self.by_status.values())
+
+    @classmethod
+    def from_counts(cls, counts: NDArray[np.int64]) -> "Visits":
+        """Name the counters of the sweeps."""
+        return cls({status: int(counts[status]) for status in Status}, *(int(c) for c in counts[len(Status) :]))
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of Gauss–Seidel: the best impulse and what the solver says of it.
+
+    `r` (3n,) in N·s; `residual` relative to `b_ref` as in THEORY §2; `history` the residual before the first
+    sweep and after each (NaN where it was not evaluated), empty unless asked for.
+    """
+
+    r: Array
+    outcome: Outcome
+    residual: float
+    sweeps: int
+    seconds: float
+    visits: Visits
+    history: Array = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def claimed(self) -> bool:
+        """Whether the solver says that it met the tolerance."""
+        return self.outcome == Outcome.CONVERGED
+
+
+@dataclass(frozen=True)
+class GaussSeidel:
+    """Block Gauss–Seidel over the local solver `local`.
+
+    `proximal` is the c of the term `c sigma_i I` renewed at each visit (0: none); `acceleration`, when given,
+    extrapolates every few sweeps. `negligible` is the change of `sigma_i r_i`, as a share of the tolerance,
+    below which a contact is left as it is. `check_every` sweeps pass between two evaluations of the residual.
+    """
+
+    local: Configured
+    tolerance: float = 1e-4
+    max_sweeps: int = 5000
+    max_seconds: float = 30.0
+    check_every: int = 5
+    proximal: float = 0.0
+    acceleration: Acceleration | None = None
+    negligible: float = 0.01
+
+    def solve(self, problem: IncrementalProblem, start: Array | None = None, history: bool = False) -> Run:
+        """Solve from `start` (3n,), zero by default. The same input gives the same answer, bit for bit.
+
+        Raises `ValueError` when `start` has the wrong shape or is not finite.
+        """
+        return self.solve_system(block_system(problem), problem.b_ref, start, history)
+
+    def solve_system(
+        self, system: BlockSystem, b_ref: float, start: Array | None = None, history: bool = False
+    ) -> Run:
+        """Solve a problem that is already laid out for sweeps."""
+        compile_loop()
+        kernel, options = self.local.kernel(), self.local.options
+        began = time.perf_counter()
+        how = self._sweeper(b_ref)
+        r = _start(start, len(system.b))
+        u, counts = np.empty_like(r), np.zeros(COUNTERS, dtype=np.int64)
+        velocity(system, r, u)
+        best, best_r = residual_from(system, r, u, how.facets), r.copy()
+        past = np.full(self.max_sweeps + 1 if history else 0, np.nan)
+        past[:1] = best
+        memory = self.acceleration.memory(len(r)) if self.acceleration else no_memory()
+        if self.acceleration:
+            scale_impulse(system, r, memory.x)
+        loop: Any = (kernel, options, system, how, memory, r, u, best_r, counts, past)
+        done, reached, elapsed, slice_ = 0, best <= how.target, 0.0, self.check_every
+        while not reached and math.isfinite(best) and done < self.max_sweeps and elapsed < self.max_seconds:
+            done, best, reached = run_sweeps(*loop, best, done, min(self.max_sweeps, done + slice_))
+            elapsed = time.perf_counter() - began
+            slice_ = self._slice(done, elapsed)
+        past = past[: done + 1] / (b_ref or 1.0) if history else past
+        outcome = _outcome(reached, best, done >= self.max_sweeps)
+        residual = relative(best, b_ref)
+        return Run(best_r, outcome, residual, done, elapsed, Visits.from_counts(counts), past)
+
+    def _sweeper(self, b_ref: float) -> Sweeper:
+        target = self.tolerance * (b_ref or 1.0)
+        period, tikhonov = (self.acceleration.sweeps, self.acceleration.tikhonov) if self.acceleration else (0, 0.0)
+        return Sweeper(
+            self.local.facets, float(self.proximal), float(self.negligible * target), float(target), self.check_every, period, tikhonov
+        )
+
+    def _slice(self, done: int, elapsed: float) -> int:
+        """Sweeps until the next look at the clock, a whole number of checks and of maps."""
+        step = self.check_every * (self.acceleration.sweeps if self.acceleration else 1)
+        return step * max(1, int(done * SLICE_SECONDS / max(elapsed, 1e-9)) // step)
+
+
+def _outcome(reached: bool, best: float, exhausted: bool) -> Outcome:
+    if reached:
+        return Outcome.CONVERGED
+    if not math.isfinite(best):
+        return Outcome.NOT_FINITE
+    return Outcome.SWEEPS if exhausted else Outcome.TIME
+
+
+def _start(start: Array | None, size: int) -> Array:
+    """A copy of the starting impulse; raises `ValueError` on a wrong shape or values that are not finite."""
+    if start is None:
+        return np.zeros(size)
+    if start.shape != (size,) or not np.isfinite(start).all():
+        raise ValueError(f"the start must be a finite vector of shape ({size},), not {start.shape}")
+    return np.array(start, dtype=np.float64)

@@ -1,0 +1,1 @@
+"""Local solvers: one contact, one file each."""

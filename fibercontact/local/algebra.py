@@ -1,0 +1,130 @@
+"""Scalar 3×3 algebra shared by the local solvers, and the elimination of the normal impulse."""
+
+import math
+from typing import NamedTuple
+
+from fibercontact.jit import jit
+from fibercontact.local.contract import Matrix
+from fibercontact.problem.cone import COULOMB, Vector, natural_map, norm
+
+__all__ = [
+    "OPEN",
+    "SLIP",
+    "STICK",
+    "Tangential",
+    "affine",
+    "eliminate_normal",
+    "law_residual",
+    "open_or_stick",
+    "slip_impulse",
+    "solve3",
+]
+
+OPEN, STICK, SLIP = 0, 1, 2
+
+SINGULAR_PIVOT = 1e-15
+"""Relative size of the shift that stands for zero in a singular `W_TT - w wᵀ/W_NN`."""
+
+
+class Tangential(NamedTuple):
+    """The contact after elimination of `r_N` by `u_N = 0` (THEORY §3, enumerative)."""
+
+    W_NN: float
+    b_N: float
+    w1: float  # w = W_TN
+    w2: float
+    A11: float  # W̄ = W_TT - w wᵀ / W_NN
+    A12: float
+    A22: float
+    c1: float  # b̄ = b_T - (b_N / W_NN) w
+    c2: float
+    trace: float
+    det: float
+
+
+@jit
+def affine(W: Matrix, r: Vector, b: Vector) -> Vector:
+    """`u = W r + b`."""
+    return (
+        b[0] + W[0][0] * r[0] + W[0][1] * r[1] + W[0][2] * r[2],
+        b[1] + W[1][0] * r[0] + W[1][1] * r[1] + W[1][2] * r[2],
+        b[2] + W[2][0] * r[0] + W[2][1] * r[1] + W[2][2] * r[2],
+    )
+
+
+@jit
+def law_residual(W: Matrix, b: Vector, mu: float, r: Vector) -> float:
+    """Norm of the natural map of Coulomb's law at `r`, in the unit of `b`."""
+    sigma = (W[0][0] + W[1][1] + W[2][2]) / 3.0
+    return norm(natural_map(affine(W, r, b), r, mu, sigma, COULOMB))
+
+
+@jit
+def solve3(A: Matrix, b: Vector) -> tuple[bool, Vector]:
+    """Solve `A x = b` by Gaussian elimination with partial pivoting; False when `A` is singular."""
+    p = (A[0][0], A[0][1], A[0][2], b[0])
+    q = (A[1][0], A[1][1], A[1][2], b[1])
+    s = (A[2][0], A[2][1], A[2][2], b[2])
+    if abs(q[0]) > abs(p[0]):
+        p, q = q, p
+    if abs(s[0]) > abs(p[0]):
+        p, s = s, p
+    if not abs(p[0]) > 0.0:
+        return False, b
+    f, g = q[0] / p[0], s[0] / p[0]
+    q1, q2, q3 = q[1] - f * p[1], q[2] - f * p[2], q[3] - f * p[3]
+    s1, s2, s3 = s[1] - g * p[1], s[2] - g * p[2], s[3] - g * p[3]
+    if abs(s1) > abs(q1):
+        q1, q2, q3, s1, s2, s3 = s1, s2, s3, q1, q2, q3
+    if not abs(q1) > 0.0:
+        return False, b
+    f = s1 / q1
+    pivot = s2 - f * q2
+    if not abs(pivot) > 0.0:
+        return False, b
+    z = (s3 - f * q3) / pivot
+    y = (q3 - q2 * z) / q1
+    x = (p[3] - p[1] * y - p[2] * z) / p[0]
+    return math.isfinite(x + y + z), (x, y, z)
+
+
+@jit
+def eliminate_normal(W: Matrix, b: Vector) -> Tangential:
+    """Eliminate `r_N` from the contact by `u_N = 0`."""
+    w1, w2 = W[1][0], W[2][0]
+    inverse = 1.0 / W[0][0]
+    A11 = W[1][1] - w1 * w1 * inverse
+    A12 = W[1][2] - w1 * w2 * inverse
+    A22 = W[2][2] - w2 * w2 * inverse
+    ratio = b[0] * inverse
+    return Tangential(
+        W[0][0], b[0], w1, w2, A11, A12, A22,
+        b[1] - ratio * w1, b[2] - ratio * w2, A11 + A22, max(0.0, A11 * A22 - A12 * A12),
+    )  # fmt: skip
+
+
+@jit
+def slip_impulse(t: Tangential, alpha: float) -> Vector:
+    """The impulse with `u_N = 0` and `u_T = -alpha r_T`: `(W̄ + alpha I) r_T = -b̄`."""
+    scale = -1.0 / (t.det + alpha * (t.trace + alpha))
+    r1 = scale * ((t.A22 + alpha) * t.c1 - t.A12 * t.c2)
+    r2 = scale * ((t.A11 + alpha) * t.c2 - t.A12 * t.c1)
+    return (-(t.b_N + t.w1 * r1 + t.w2 * r2) / t.W_NN, r1, r2)
+
+
+@jit
+def open_or_stick(t: Tangential, b: Vector, mu: float) -> tuple[int, Vector]:
+    """The two simple cases, take-off (`b_N >= 0`) and stick; `SLIP` when neither holds.
+
+    Without friction the answer is the complementarity in the normal direction alone; `SLIP` is not returned.
+    A singular `W̄` is shifted by rounding's size: when `b̄` is in its range the impulse stays bounded.
+    """
+    if b[0] >= 0.0:
+        return OPEN, (0.0, 0.0, 0.0)
+    if mu <= 0.0:
+        return STICK, (-b[0] / t.W_NN, 0.0, 0.0)
+    shift = 0.0 if t.det > SINGULAR_PIVOT * t.trace * t.trace else SINGULAR_PIVOT * (t.trace + t.W_NN)
+    r = slip_impulse(t, shift)
+    if math.sqrt(r[1] * r[1] + r[2] * r[2]) <= mu * r[0]:
+        return STICK, r
+    return SLIP, r

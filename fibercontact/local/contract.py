@@ -1,0 +1,95 @@
+"""What a local solver is: the signature of its kernel, its status, its options.
+
+A local solver answers one contact: given `W` (3×3, SPD), `b` (what all the other contacts contribute
+included), `mu` and the impulse `r` of the last visit, find the impulse `r` such that `u = W r + b` and `r` obey
+its law. The kernel is a pure function of tuples, compiled to one fixed signature, so that the sweep that calls
+it is compiled once for all solvers:
+
+    kernel(W, b, mu, r, options) -> (status, r, iterations)
+
+`W` is a tuple of three rows, `b` and `r` are tuples `(N, T1, T2)`, `options` a float64 array in the order of the
+declared options; `status` is a `Status`, `iterations` the number of inner (Newton) iterations.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from fibercontact.problem.cone import COULOMB, Vector
+
+__all__ = ["KERNEL_SIGNATURE", "SENTENCES", "LocalSolver", "Matrix", "Option", "Status"]
+
+Matrix = tuple[Vector, Vector, Vector]
+
+_VECTOR = types.UniTuple(types.float64, 3)
+KERNEL_SIGNATURE = types.Tuple((types.int64, _VECTOR, types.int64))(
+    types.UniTuple(_VECTOR, 3), _VECTOR, types.float64, _VECTOR, types.float64[::1]
+)
+
+
+class Status(IntEnum):
+    """How a local solve ended; every value but `CONVERGED` is a failure with its reason."""
+
+    CONVERGED = 0
+    ITERATIONS = 1
+    STALLED = 2
+    SINGULAR = 3
+    NO_ROOT = 4
+    INACCURATE = 5
+    NOT_FINITE = 6
+
+
+SENTENCES = {
+    Status.CONVERGED: "the local tolerance was met",
+    Status.ITERATIONS: "the local iterations were exhausted",
+    Status.STALLED: "the line search found no decrease",
+    Status.SINGULAR: "a linear system was singular",
+    Status.NO_ROOT: "no admissible root was found",
+    Status.INACCURATE: "the root found does not satisfy the law to the local tolerance",
+    Status.NOT_FINITE: "the answer is not finite",
+}
+
+
+@dataclass(frozen=True)
+class Option:
+    """An option of a local solver: its default and one line that says what it does."""
+
+    default: float
+    meaning: str
+
+
+@dataclass(frozen=True)
+class LocalSolver:
+    """A kernel with its declaration. `facets` says which law it solves.
+
+    `facets` is a number (0: Coulomb's law), or the name of the option that holds it.
+    """
+
+    kernel: Any
+    options: Mapping[str, Option] = field(default_factory=dict)
+    facets: int | str = COULOMB
+
+    def option_values(self, given: Mapping[str, float]) -> NDArray[np.float64]:
+        """Option values in declared order; raises `ValueError` on a name that is not declared."""
+        unknown = sorted(set(given) - set(self.options))
+        if unknown:
+            known = ", ".join(self.options) or "none"
+            raise ValueError(f"unknown option {unknown[0]!r} (known: {known})")
+        return np.array([float(given.get(name, o.default)) for name, o in self.options.items()])
+
+    def law(self, given: Mapping[str, float]) -> int:
+        """Number of facets of the law solved under these options, 0 for Coulomb's.
+
+        Raises `ValueError` unless the polygon has an integer number of at least three facets.
+        """
+        if not isinstance(self.facets, str):
+            return self.facets
+        facets = given.get(self.facets, self.options[self.facets].default)
+        if facets != int(facets) or facets < 3:
+            raise ValueError(f"option {self.facets!r} must be an integer >= 3, not {facets:g}")
+        return int(facets)

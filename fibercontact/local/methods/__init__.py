@@ -1,0 +1,1 @@
+"""One file a local solver; a file put here is a built-in solver, named after it."""

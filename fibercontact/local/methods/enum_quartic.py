@@ -1,0 +1,32 @@
+"""Enumerate take-off, stick and slip; slip by the closed formula for the roots of a quartic.
+
+Equation: `mu² p(alpha)² - W_NN² |B + alpha b̄|² = 0`, `alpha > 0`, `r_N > 0` (THEORY §3).
+Reference: Daviet, Bertails-Descoubes and Boissieux, ACM TOG 30(6), 2011, appendix B.
+Exact in exact arithmetic. Fails when rounding hides the admissible root (near double roots, condition numbers of
+`W` above about 1e5) or leaves it too inaccurate; it has no approximate answer to give then.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fibercontact.jit import jit
+from fibercontact.local.algebra import SLIP, eliminate_normal, open_or_stick
+from fibercontact.local.contract import LocalSolver, Matrix, Status
+from fibercontact.local.slip_quartic import ENUMERATIVE_OPTIONS, closed_slip
+from fibercontact.problem.cone import Vector
+
+__all__ = ["solver"]
+
+
+@jit
+def kernel(W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]) -> tuple[int, Vector, int]:
+    """Solve one contact; see the module's docstring."""
+    t = eliminate_normal(W, b)
+    regime, simple = open_or_stick(t, b, mu)
+    if regime != SLIP:
+        return Status.CONVERGED, simple, 0
+    status, slip = closed_slip(W, b, mu, t, options[0])
+    return status, (r if status == Status.NO_ROOT else slip), 0
+
+
+solver = LocalSolver(kernel, options=ENUMERATIVE_OPTIONS)

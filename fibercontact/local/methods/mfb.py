@@ -1,0 +1,30 @@
+"""Modified Fischer–Burmeister function on the second-order cone, damped Newton.
+
+Equation: `f = x + y - (x∘x + y∘y)^(1/2) = 0`, `x = (mu r_N, r_T)`, `y = (ũ_N, mu u_T)` (THEORY §3).
+Reference: Daviet, Bertails-Descoubes and Boissieux, ACM TOG 30(6), 2011 (its printed Jacobian has a typo).
+Smooth almost everywhere; fails when the line search stalls at a point that is not a zero, mostly near
+`u_T = 0` or where `z` meets the boundary of the cone. Without friction it is degenerate and the normal
+complementarity is solved directly.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fibercontact.jit import jit
+from fibercontact.local.contract import LocalSolver, Matrix, Status
+from fibercontact.local.fischer_burmeister import modified_fischer_burmeister
+from fibercontact.local.newton import NEWTON_OPTIONS, newton
+from fibercontact.problem.cone import Vector
+
+__all__ = ["solver"]
+
+
+@jit
+def kernel(W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]) -> tuple[int, Vector, int]:
+    """Solve one contact; see the module's docstring."""
+    if mu <= 0.0:
+        return Status.CONVERGED, (max(0.0, -b[0] / W[0][0]), 0.0, 0.0), 0
+    return newton(modified_fischer_burmeister, W, b, mu, r, options[0], int(options[1]), True)
+
+
+solver = LocalSolver(kernel, options=NEWTON_OPTIONS)
