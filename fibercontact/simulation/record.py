@@ -1,0 +1,63 @@
+"""What a run of a scene leaves behind: one row a step, a picture, a summary."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from fibercontact.rods.dynamics import energy
+from fibercontact.simulation.picture import draw
+from fibercontact.simulation.scene import Scene
+from fibercontact.simulation.step import Step
+
+__all__ = ["Recorder"]
+
+
+class Recorder:
+    """Collects rows of the steps of a scene and keeps the last step."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.rows: list[dict[str, float]] = []
+        self.last: Step | None = None
+
+    def add(self, step: Step) -> None:
+        """Add the row of a step: times in s, energies in J, the deepest overlap in m."""
+        e = energy(self.scene.rods, step.world.state, self.scene.gravity(step.world.time))
+        run = step.run
+        self.rows.append(
+            {
+                "step": step.index,
+                "time": step.world.time,
+                "contacts": len(step.contacts.gap),
+                "overlap": float(max(0.0, -step.contacts.gap.min(initial=0.0))),
+                "sweeps": run.sweeps if run else 0,
+                "residual": run.residual if run else 0.0,
+                "solved": run.claimed if run else True,
+                "kinetic": float(e.kinetic.sum()),
+                "elastic": float(e.elastic.sum()),
+                "gravitational": float(e.gravitational.sum()),
+                "seconds": step.seconds,
+            }
+        )
+        self.last = step
+
+    def write(self, folder: Path) -> None:
+        """Write `steps.csv` and `last.png`."""
+        folder.mkdir(parents=True, exist_ok=True)
+        pd.DataFrame(self.rows).to_csv(folder / "steps.csv", index=False)
+        if self.last is not None:
+            draw(self.scene, self.last, folder / "last.png")
+
+    def summary(self) -> str:
+        """The run in one line."""
+        if not self.rows:
+            return f"{self.scene.name}: no step was run"
+        table = pd.DataFrame(self.rows)
+        contacts = table.contacts.to_numpy()
+        return (
+            f"{self.scene.name}: {len(table)} steps, {table.time.iloc[-1]:.3g} s of motion; "
+            f"contacts median {np.median(contacts):.0f}, most {contacts.max()}; "
+            f"sweeps median {table.sweeps.median():.0f}; unsolved steps {int((~table.solved).sum())}; "
+            f"{1e3 * table.seconds.median():.3g} ms a step"
+        )

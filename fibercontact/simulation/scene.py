@@ -1,0 +1,61 @@
+"""What a scene is: rods, rigid bodies that carry their roots and the obstacles, and the physics' constants."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fibercontact.contact.obstacles import Obstacle
+from fibercontact.rods.model import Rods, State
+
+__all__ = ["STILL", "Body", "Motion", "Scene"]
+
+Array = NDArray[np.float64]
+
+
+class Motion(NamedTuple):
+    """Velocity (3,) in m/s of a body's pivot, and its angular velocity (3,) in rad/s, world axes."""
+
+    velocity: Array
+    angular_velocity: Array
+
+
+STILL = Motion(np.zeros(3), np.zeros(3))
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid body that moves obstacles and clamped roots: its `pivot` at time 0 and its motion in time."""
+
+    pivot: Array
+    motion: Callable[[float], Motion] = lambda time: STILL
+    obstacles: Sequence[Obstacle] = ()
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A simulation that can be run: SI units throughout.
+
+    `carrier` (R,) is the body that each clamped root is fixed to. `gravity` is a function of time. Contacts
+    between fibres have the friction `mu_fibres`, those with obstacles `mu_obstacles`. The polylines of contact
+    detection have `segments` segments, `margin` and `skip_root` are those of `contact.detect`.
+    """
+
+    name: str
+    description: str
+    rods: Rods
+    state: State
+    bodies: Sequence[Body]
+    carrier: NDArray[np.int64]
+    dt: float
+    steps: int
+    mu_fibres: float
+    mu_obstacles: float
+    gravity: Callable[[float], Array] = field(default=lambda time: np.array([0.0, 0.0, -9.81]))
+    segments: int = 20
+    margin: float = 0.2
+    skip_root: float = 0.0
+    tolerance: float = 1e-4
+    max_sweeps: int = 1000

@@ -1,0 +1,263 @@
+"""The scenes: six kinds, each a function of the number of fibres, their curl, the friction and a seed.
+
+Every fibre starts straight, so that none overlaps another, and curls up as the scene runs. The fibres are strands of 0.5 mm radius as heavy for their stiffness as long hair is: the dimensionless weight
+`rho S g L³ / EI` of a 15 cm strand is 18.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from fibercontact.contact.obstacles import Cylinder, Plane, Sphere
+from fibercontact.rods.model import Rods, circular_rods, rest_state
+from fibercontact.simulation.scene import Body, Motion, Scene
+
+__all__ = ["KINDS", "SCENES", "Parameters", "SceneError", "build"]
+
+Array = NDArray[np.float64]
+
+RADIUS = 0.5e-3  # m
+YOUNG = 3e7  # Pa
+DENSITY = 1000.0  # kg/m³
+DAMPING = 0.02  # s
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+class SceneError(ValueError):
+    """A scene that is not known or cannot be built; the message says why."""
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """A scene of the corpus: its kind, and what makes it differ from others of the kind."""
+
+    kind: str
+    fibres: int
+    curl: str  # straight, wavy, curly or mixed
+    mu: float  # between fibres
+    mu_obstacles: float
+    seed: int
+
+
+def _rest_curvature(curl: str, fibres: int, elements: int, rng: np.random.Generator) -> Array:
+    """Rest curvatures (R, N, 3): none, alternating bends, or a helix; `mixed` draws one of them a fibre."""
+    kinds = {"straight": 0, "wavy": 1, "curly": 2}
+    if curl != "mixed" and curl not in kinds:
+        raise SceneError(f"unknown curl {curl!r} (known: {', '.join(kinds)}, mixed)")
+    kind = rng.integers(0, 3, fibres) if curl == "mixed" else np.full(fibres, kinds[curl])
+    q = np.zeros((fibres, elements, 3))
+    size = rng.uniform(0.7, 1.3, fibres)[:, None]
+    sign = (-1.0) ** np.arange(elements)
+    wavy, curly = kind == 1, kind == 2
+    q[wavy, :, 1] = 20.0 * size[wavy] * sign
+    q[curly, :, 1] = 30.0 * size[curly]
+    q[curly, :, 0] = 15.0 * size[curly]
+    return q
+
+
+def _rods(p: Parameters, length: float, rng: np.random.Generator, free: bool = False) -> Rods:
+    """Strands of the scene; free ones have fewer elements, and curl less or they would fling themselves away."""
+    elements, share = (4, 0.3) if free else (5, 1.0)
+    return circular_rods(
+        length=length * rng.uniform(0.9, 1.1, p.fibres),
+        radius=RADIUS,
+        young=YOUNG,
+        poisson=0.5,
+        density=DENSITY,
+        elements=elements,
+        curvature=share * _rest_curvature(p.curl, p.fibres, elements, rng),
+        damping=DAMPING,
+        free=free,
+    )
+
+
+def _frames(tangents: Array, rng: np.random.Generator) -> Array:
+    """Frames (R, 3, 3) with the given tangents (R, 3) and a random turn about them."""
+    frames = np.empty((len(tangents), 3, 3))
+    for frame, tangent in zip(frames, tangents, strict=True):
+        t = tangent / np.linalg.norm(tangent)
+        across = np.cross(t, np.eye(3)[np.argmin(np.abs(t))])
+        n1 = Rotation.from_rotvec(rng.uniform(0, 2 * math.pi) * t).apply(across / np.linalg.norm(across))
+        frame[:] = np.column_stack([t, n1, np.cross(t, n1)])
+    return frames
+
+
+def _hexagonal(count: int, spacing: float) -> Array:
+    """The `count` points (count, 2) of a hexagonal lattice that are nearest to its origin."""
+    reach = math.ceil(math.sqrt(count)) + 2
+    i, j = (x.ravel() for x in np.mgrid[-reach : reach + 1, -reach : reach + 1])
+    points = spacing * np.column_stack([i + 0.5 * j, math.sqrt(0.75) * j])
+    return points[np.lexsort((points[:, 1], points[:, 0], np.round(np.linalg.norm(points, axis=1), 9)))][:count]
+
+
+def _hanging(count: int, spacing: float, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Roots (count, 3) of a bundle packed round the origin, and frames that point down."""
+    roots = np.column_stack([_hexagonal(count, spacing), np.zeros(count)])
+    return roots, _frames(np.tile(DOWN, (count, 1)), rng)
+
+
+def wisp(p: Parameters, rng: np.random.Generator) -> Scene:
+    """A wisp pulled aside by a tilted gravity, then released to swing and settle."""
+    roots, frames = _hanging(p.fibres, 1.3e-3, rng)
+    rods = _rods(p, 0.15, rng)
+
+    def gravity(time: float) -> Array:
+        tilt = math.radians(70.0) if time < 0.3 else 0.0
+        return 9.81 * np.array([math.sin(tilt), 0.0, -math.cos(tilt)])
+
+    return _scene(p, wisp, rods, roots, frames, [Body(np.zeros(3))], dt=4e-3, steps=200, gravity=gravity)
+
+
+def head(p: Parameters, rng: np.random.Generator) -> Scene:
+    """Hair on the upper part of a sphere that is shaken sideways and nods."""
+    radius = 0.05
+    golden = math.pi * (3 - math.sqrt(5))
+    height = 1 - (np.arange(p.fibres) + 0.5) / p.fibres * 0.7
+    turn = golden * np.arange(p.fibres)
+    ring = np.sqrt(1 - height**2)
+    normals = np.column_stack([ring * np.cos(turn), ring * np.sin(turn), height])
+    rods = _rods(p, 0.18, rng)
+
+    def shake(time: float) -> Motion:
+        rate = 2 * math.pi * 2.0
+        sideways = 0.03 * rate * math.cos(rate * time) * min(1.0, time / 0.1)
+        return Motion(np.array([sideways, 0.0, 0.0]), np.array([0.0, 2.0 * math.sin(0.7 * rate * time), 0.0]))
+
+    body = Body(np.zeros(3), shake, [Sphere(np.zeros(3), radius)])
+    frames = _frames(normals + 0.1 * rng.standard_normal(normals.shape), rng)
+    return _scene(p, head, rods, radius * normals, frames, [body], dt=4e-3, steps=200, skip_root=4e-3)
+
+
+def _dropped(p: Parameters, rng: np.random.Generator, spread: float, low: float) -> tuple[Rods, Array, Array]:
+    """Free rods, level but for a few degrees, in layers from the height `low` upwards."""
+    rods = _rods(p, 0.1, rng, free=True)
+    angle = rng.uniform(0, 2 * math.pi, p.fibres)
+    tangents = np.column_stack([np.cos(angle), np.sin(angle), 0.05 * rng.standard_normal(p.fibres)])
+    middle = np.column_stack([rng.uniform(-spread, spread, (p.fibres, 2)), low + 1.5e-3 * np.arange(p.fibres)])
+    return rods, middle - 0.5 * rods.length[:, None] * tangents, _frames(tangents, rng)
+
+
+def plane(p: Parameters, rng: np.random.Generator) -> Scene:
+    """Free fibres falling on a plane, where they pile up."""
+    rods, roots, frames = _dropped(p, rng, 0.02, 5e-3)
+    body = Body(np.zeros(3), obstacles=[Plane(np.zeros(3), np.array([0.0, 0.0, 1.0]))])
+    return _scene(p, plane, rods, roots, frames, [body], dt=1.5e-3, steps=320)
+
+
+def cylinder(p: Parameters, rng: np.random.Generator) -> Scene:
+    """Free fibres falling across a level cylinder that turns slowly: they drape over it and slide off."""
+    rods, roots, frames = _dropped(p, rng, 0.012, 0.027)
+    body = Body(
+        np.zeros(3),
+        lambda time: Motion(np.zeros(3), np.array([0.0, 2.0, 0.0])),
+        [Cylinder(np.zeros(3), np.array([0.0, 1.0, 0.0]), 0.025)],
+    )
+    return _scene(p, cylinder, rods, roots, frames, [body], dt=1.5e-3, steps=320)
+
+
+def twist(p: Parameters, rng: np.random.Generator) -> Scene:
+    """Two bundles that lean towards each other and whose roots circle round a common axis: they wind up."""
+    half = p.fibres // 2
+    sides = []
+    for count, side in ((half, -1.0), (p.fibres - half, 1.0)):
+        lean = Rotation.from_rotvec([0.0, math.radians(20.0) * side, 0.0])
+        roots, frames = _hanging(count, 1.2e-3, rng)
+        sides.append((lean.apply(roots) + [0.012 * side, 0.0, 0.0], lean.as_matrix() @ frames))
+    roots, frames = (np.concatenate(x) for x in zip(*sides, strict=True))
+    body = Body(np.zeros(3), lambda time: Motion(np.zeros(3), np.array([0.0, 0.0, 6.0 * min(1.0, time / 0.1)])))
+    return _scene(p, twist, _rods(p, 0.14, rng), roots, frames, [body], dt=4e-3, steps=250)
+
+
+def comb(p: Parameters, rng: np.random.Generator) -> Scene:
+    """A comb of round-tipped level teeth, pushed into a hanging bundle and drawn down through it."""
+    roots, frames = _hanging(p.fibres, 1.6e-3, rng)
+    width, depth = np.ptp(roots[:, :2], axis=0)
+    teeth = np.arange(-0.5 * width, 0.5 * width + 4e-3, 4.5e-3)
+    length = depth + 0.02
+    behind = -0.5 * (depth + length) - 3e-3
+    cylinders = [Cylinder(np.array([x, behind, -0.03]), np.array([0.0, 1.0, 0.0]), 1e-3, length) for x in teeth]
+    inserted = (depth + 0.01) / 0.15
+
+    def draw(time: float) -> Motion:
+        return Motion(np.array([0.0, 0.15, 0.0] if time < inserted else [0.0, 0.0, -0.15]), np.zeros(3))
+
+    bodies = [Body(np.zeros(3)), Body(np.zeros(3), draw, cylinders)]
+    return _scene(p, comb, _rods(p, 0.15, rng), roots, frames, bodies, dt=4e-3, steps=250)
+
+
+def _scene(
+    p: Parameters,
+    kind: Callable[[Parameters, np.random.Generator], Scene],
+    rods: Rods,
+    roots: Array,
+    frames: Array,
+    bodies: list[Body],
+    dt: float,
+    steps: int,
+    gravity: Callable[[float], Array] | None = None,
+    skip_root: float = 2e-3,
+) -> Scene:
+    return Scene(
+        name=_name(p),
+        description=(kind.__doc__ or "").strip(),
+        rods=rods,
+        state=rest_state(rods, roots, frames)._replace(q=np.zeros_like(rods.q_rest)),
+        bodies=bodies,
+        carrier=np.zeros(p.fibres, dtype=np.int64),
+        dt=dt,
+        steps=steps,
+        mu_fibres=p.mu,
+        mu_obstacles=p.mu_obstacles,
+        skip_root=0.0 if rods.free else skip_root,
+        **({"gravity": gravity} if gravity else {}),
+    )
+
+
+def _name(p: Parameters) -> str:
+    return f"{p.kind}-{p.curl}-{p.fibres}-mu{p.mu:g}"
+
+
+KINDS: Mapping[str, Callable[[Parameters, np.random.Generator], Scene]] = {
+    kind.__name__: kind for kind in (wisp, head, plane, cylinder, twist, comb)
+}
+
+_RUNS = (
+    Parameters("wisp", 19, "straight", 0.3, 0.3, 1),
+    Parameters("wisp", 61, "curly", 0.5, 0.5, 2),
+    Parameters("wisp", 217, "wavy", 0.1, 0.1, 3),
+    Parameters("head", 96, "straight", 0.2, 0.4, 4),
+    Parameters("head", 96, "curly", 0.6, 0.6, 5),
+    Parameters("head", 160, "mixed", 0.3, 0.1, 6),
+    Parameters("plane", 24, "straight", 1.0, 1.0, 7),
+    Parameters("plane", 48, "curly", 0.4, 0.2, 8),
+    Parameters("plane", 96, "mixed", 0.0, 0.0, 9),
+    Parameters("cylinder", 40, "straight", 0.1, 0.5, 10),
+    Parameters("cylinder", 48, "wavy", 0.8, 0.8, 11),
+    Parameters("cylinder", 80, "mixed", 0.5, 0.3, 12),
+    Parameters("twist", 24, "straight", 0.0, 0.0, 13),
+    Parameters("twist", 48, "wavy", 0.4, 0.4, 14),
+    Parameters("twist", 128, "straight", 0.7, 0.7, 15),
+    Parameters("comb", 37, "straight", 0.2, 0.2, 16),
+    Parameters("comb", 61, "wavy", 0.5, 0.3, 17),
+    Parameters("comb", 91, "curly", 1.0, 0.5, 18),
+)
+
+SCENES: Mapping[str, Parameters] = {_name(p): p for p in _RUNS}
+"""The scenes by name: three of each kind."""
+
+
+def build(scene: str | Parameters) -> Scene:
+    """Build a scene by its name or from parameters; raises `SceneError` listing the names when it is not known."""
+    if isinstance(scene, str):
+        if scene not in SCENES:
+            raise SceneError(f"unknown scene {scene!r} (known: {', '.join(SCENES)})")
+        scene = SCENES[scene]
+    if scene.kind not in KINDS:
+        raise SceneError(f"unknown kind of scene {scene.kind!r} (known: {', '.join(KINDS)})")
+    if scene.fibres < 2:
+        raise SceneError(f"a scene needs at least 2 fibres, not {scene.fibres}")
+    return KINDS[scene.kind](scene, np.random.default_rng(scene.seed))
