@@ -1,0 +1,30 @@
+# Two commands matter: `make table` and `make test`. Both make their own virtual environment first.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+JOBS ?= 2
+
+.PHONY: table test lint corpus clean
+
+table: $(VENV)/.installed  ## the failure-rate and timing table over core306
+	$(BIN)/fibercontact table --accuracy low --rates mid --jobs $(JOBS) --out runs/core306
+
+test: $(VENV)/.installed  ## the tests
+	$(BIN)/python -m pytest -n $(JOBS)
+
+lint: $(VENV)/.installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+corpus: $(VENV)/.installed  ## the problems of core306, from the scenes, into build/core306
+	$(BIN)/fibercontact dump core306 --out build/core306
+
+$(VENV)/.installed: pyproject.toml
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or later is needed")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	touch $@
+
+clean:
+	rm -rf build runs .pytest_cache .mypy_cache .ruff_cache .hypothesis
