@@ -46,7 +46,9 @@ def strands(contacts: int, mu: float, seed: int) -> IncrementalProblem:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--contacts", type=int, default=1000)
     parser.add_argument("--repetitions", type=int, default=30)
     parser.add_argument("--solvers", default="secular,hybrid,mfb,dac,pac,enum-quartic,enum-companion,pyramid")
@@ -64,7 +66,9 @@ def main() -> None:
     for _ in range(given.repetitions):
         for name, loop in loops.items():
             least[name] = min(least[name], loop.solve_system(system, problem.b_ref).seconds)
-    print(f"{problem.n} contacts, {len(problem.W.indices) / problem.n:.1f} blocks a row, {SWEEPS} sweeps from zero")
+    print(
+        f"{problem.n} contacts, {len(problem.W.indices) / problem.n:.1f} blocks a row, {SWEEPS} sweeps from zero"
+    )
     for name, seconds in least.items():
         print(f"{name:<16}{1e9 * seconds / SWEEPS / problem.n:8.0f} ns a contact")
 

@@ -7,6 +7,7 @@ anywhere opens a new folder, and nothing stale is ever read.
 
 import hashlib
 import os
+import shutil
 import sys
 from collections.abc import Callable, Iterable
 from functools import cache
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core import config
 
 __all__ = ["cache_folder", "content_key", "jit", "jit_inline"]
 
@@ -41,7 +43,17 @@ def cache_folder() -> Path:
 def _use_cache_folder() -> None:
     if os.environ.get("NUMBA_CACHE_DIR"):
         return
-    numba.config.CACHE_DIR = str(cache_folder())
+    config.CACHE_DIR = str(cache_folder())
+    _forget_older(cache_folder())
+
+
+def _forget_older(current: Path) -> None:
+    """Remove the compiled code of all but the latest versions of the sources."""
+    if current.exists() or not current.parent.is_dir():
+        return
+    folders = [folder for folder in current.parent.iterdir() if len(folder.name) == len(current.name)]
+    for folder in sorted(folders, key=lambda f: f.stat().st_mtime)[: -(_KEPT - 1)]:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def jit(function: Callable[..., Any]) -> Any:

@@ -28,8 +28,8 @@ def simulate(
 ) -> None:
     """Run a scene: rods, contact, friction.
 
-    Prints what happened; with --out also writes one row a step (contacts, sweeps, residual, energy, seconds) and
-    a picture of the last step. Ctrl-C keeps what was run.
+    Prints what happened; with --out also writes one row a step (contacts, sweeps, residual, energy, seconds)
+    and a picture of the last step. Ctrl-C keeps what was run.
 
     Example: fibercontact simulate twist-wavy-48-mu0.4 --steps 100 --out runs/twist
     """

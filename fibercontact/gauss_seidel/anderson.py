@@ -1,8 +1,8 @@
 """Anderson acceleration (type II) of the map "k sweeps", in the scaled variable `x_i = sqrt(sigma_i) r_i`.
 
-With `g_m` the image of the iterate `x_m` and `f_m = g_m - x_m`, the next iterate is `g_m - ΔG gamma` with gamma
-the Tikhonov-regularised least-squares solution of `min |f_m - ΔF gamma|`. The memory is dropped when the
-residual more than doubles.
+With `g_m` the image of the iterate `x_m` and `f_m = g_m - x_m`, the next iterate is `g_m - ΔG gamma` with
+gamma the Tikhonov-regularised least-squares solution of `min |f_m - ΔF gamma|`. The memory is dropped when
+the residual more than doubles.
 
 References: Anderson, J. ACM 12, 1965; Walker and Ni, SIAM J. Numer. Anal. 49, 2011; THEORY §4.
 """
@@ -33,7 +33,7 @@ class Memory(NamedTuple):
 
 @dataclass(frozen=True)
 class Acceleration:
-    """Settings: sweeps a map, maps remembered, Tikhonov term relative to the normal equations' largest entry."""
+    """Settings: sweeps a map, maps remembered, Tikhonov term relative to the largest normal-equation entry."""
 
     sweeps: int = 3
     window: int = 8
@@ -41,9 +41,9 @@ class Acceleration:
 
     def memory(self, size: int) -> Memory:
         """An empty memory for impulses of this size."""
-        return Memory(
-            np.zeros((self.window, size)), np.zeros((self.window, size)), *np.zeros((3, size)), np.zeros(2)
-        )
+        dF, dG = np.zeros((2, self.window, size))
+        x, f, g = np.zeros((3, size))
+        return Memory(dF, dG, x, f, g, np.zeros(2))
 
 
 def no_memory() -> Memory:

@@ -3,9 +3,9 @@
 import math
 from typing import Any
 
-import numba
 import numpy as np
 from numba import types
+from numba.core import config
 from numpy.typing import NDArray
 
 from fibercontact.gauss_seidel.anderson import Memory, extrapolate, remember
@@ -110,7 +110,7 @@ _SIGNATURE = types.Tuple((_I, _F, types.boolean))(
 
 def compile_loop() -> None:
     """Compile `run_sweeps` for every local solver at once, or read it from the disk cache."""
-    if numba.config.DISABLE_JIT or run_sweeps.signatures:
+    if config.DISABLE_JIT or run_sweeps.signatures:
         return
     run_sweeps.compile(_SIGNATURE)
     run_sweeps.disable_compile()

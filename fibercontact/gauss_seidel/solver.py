@@ -74,7 +74,9 @@ class Visits:
     @classmethod
     def from_counts(cls, counts: NDArray[np.int64]) -> "Visits":
         """Name the counters of the sweeps."""
-        return cls({status: int(counts[status]) for status in Status}, *(int(c) for c in counts[len(Status) :]))
+        return cls(
+            {status: int(counts[status]) for status in Status}, *(int(c) for c in counts[len(Status) :])
+        )
 
 
 @dataclass(frozen=True)
@@ -154,9 +156,17 @@ class GaussSeidel:
 
     def _sweeper(self, b_ref: float) -> Sweeper:
         target = self.tolerance * (b_ref or 1.0)
-        period, tikhonov = (self.acceleration.sweeps, self.acceleration.tikhonov) if self.acceleration else (0, 0.0)
+        period, tikhonov = (
+            (self.acceleration.sweeps, self.acceleration.tikhonov) if self.acceleration else (0, 0.0)
+        )
         return Sweeper(
-            self.local.facets, float(self.proximal), float(self.negligible * target), float(target), self.check_every, period, tikhonov
+            self.local.facets,
+            float(self.proximal),
+            float(self.negligible * target),
+            float(target),
+            self.check_every,
+            period,
+            tikhonov,
         )
 
     def _slice(self, done: int, elapsed: float) -> int:

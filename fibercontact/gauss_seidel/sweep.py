@@ -102,9 +102,7 @@ def residual_from(s: BlockSystem, r: NDArray[np.float64], u: NDArray[np.float64]
 
 
 @jit
-def local_problem(
-    d: NDArray[np.float64], u: Vector, r: Vector, shift: float
-) -> tuple[Matrix, Vector]:
+def local_problem(d: NDArray[np.float64], u: Vector, r: Vector, shift: float) -> tuple[Matrix, Vector]:
     """`(W_ii + shift I, b_loc - shift r)`: the contact with all others fixed, fixed points unmoved."""
     b = (
         u[0] - d[0] * r[0] - d[1] * r[1] - d[2] * r[2] - shift * r[0],

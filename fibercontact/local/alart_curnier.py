@@ -4,7 +4,7 @@ import math
 
 from fibercontact.jit import jit
 from fibercontact.local.algebra import affine
-from fibercontact.local.contract import Matrix, Option
+from fibercontact.local.contract import Matrix
 from fibercontact.local.newton import NEWTON_OPTIONS, Contact
 from fibercontact.problem.cone import Vector
 
@@ -36,7 +36,7 @@ def alart_curnier(c: Contact, r: Vector) -> tuple[Vector, Matrix]:
     slope = (1.0 - rho_N * W[0][0], -rho_N * W[0][1], -rho_N * W[0][2])  # d z_N / dr
     radius = mu * max(0.0, z_N)
     if z_N > 0.0:
-        f_N, J_N = r[0] - z_N, (1.0 - slope[0], -slope[1], -slope[2])
+        f_N, J_N = rho_N * u[0], (1.0 - slope[0], -slope[1], -slope[2])
     else:
         f_N, J_N = r[0], (1.0, 0.0, 0.0)
     if length <= radius:  # stick

@@ -9,21 +9,28 @@ from fibercontact.problem.cone import COULOMB, Vector, natural_map, norm
 
 __all__ = [
     "OPEN",
+    "SHIFT",
     "SLIP",
     "STICK",
     "Tangential",
     "affine",
     "eliminate_normal",
+    "is_finite",
     "law_residual",
     "open_or_stick",
     "slip_impulse",
     "solve3",
+    "stick_impulse",
 ]
 
 OPEN, STICK, SLIP = 0, 1, 2
 
-SINGULAR_PIVOT = 1e-15
-"""Relative size of the shift that stands for zero in a singular `W_TT - w wᵀ/W_NN`."""
+SINGULAR = 1e-10
+"""Ratio of the least eigenvalue of `W_TT - w wᵀ/W_NN` to `tr(W_TT)` below which it counts as singular."""
+SHIFT = 1e-9
+"""What replaces that eigenvalue, relative to the same trace."""
+LEFT_OVER = 1e-7
+"""Sliding speed, relative to b, that the shift may leave in stick."""
 
 
 class Tangential(NamedTuple):
@@ -49,6 +56,14 @@ def affine(W: Matrix, r: Vector, b: Vector) -> Vector:
         b[0] + W[0][0] * r[0] + W[0][1] * r[1] + W[0][2] * r[2],
         b[1] + W[1][0] * r[0] + W[1][1] * r[1] + W[1][2] * r[2],
         b[2] + W[2][0] * r[0] + W[2][1] * r[1] + W[2][2] * r[2],
+    )
+
+
+@jit
+def is_finite(W: Matrix, b: Vector, mu: float) -> bool:
+    """Whether the contact's data are finite; `W` is symmetric, so its lower triangle is looked at."""
+    return math.isfinite(
+        ((W[0][0] + W[1][1]) + (W[2][2] + W[1][0])) + ((W[2][0] + W[2][1]) + (b[0] + b[1])) + (b[2] + mu)
     )
 
 
@@ -113,18 +128,31 @@ def slip_impulse(t: Tangential, alpha: float) -> Vector:
 
 
 @jit
+def stick_impulse(t: Tangential, b: Vector) -> tuple[bool, Vector]:
+    """The impulse that stops the contact, and whether there is one.
+
+    A singular `W̄` is shifted: when `b̄` is in its range the impulse stays bounded, when it is not the contact
+    cannot be stopped.
+    """
+    trace = t.trace * t.W_NN + t.w1 * t.w1 + t.w2 * t.w2  # W_NN tr(W_TT)
+    if t.det * t.W_NN > SINGULAR * trace * abs(t.trace):
+        return True, slip_impulse(t, 0.0)
+    shift = SHIFT * trace / t.W_NN
+    r = slip_impulse(t, shift)
+    return shift * math.sqrt(r[1] * r[1] + r[2] * r[2]) <= LEFT_OVER * norm(b), r
+
+
+@jit
 def open_or_stick(t: Tangential, b: Vector, mu: float) -> tuple[int, Vector]:
     """The two simple cases, take-off (`b_N >= 0`) and stick; `SLIP` when neither holds.
 
     Without friction the answer is the complementarity in the normal direction alone; `SLIP` is not returned.
-    A singular `W̄` is shifted by rounding's size: when `b̄` is in its range the impulse stays bounded.
     """
     if b[0] >= 0.0:
         return OPEN, (0.0, 0.0, 0.0)
     if mu <= 0.0:
         return STICK, (-b[0] / t.W_NN, 0.0, 0.0)
-    shift = 0.0 if t.det > SINGULAR_PIVOT * t.trace * t.trace else SINGULAR_PIVOT * (t.trace + t.W_NN)
-    r = slip_impulse(t, shift)
-    if math.sqrt(r[1] * r[1] + r[2] * r[2]) <= mu * r[0]:
+    stops, r = stick_impulse(t, b)
+    if stops and math.sqrt(r[1] * r[1] + r[2] * r[2]) <= mu * r[0]:
         return STICK, r
     return SLIP, r

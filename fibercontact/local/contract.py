@@ -11,6 +11,7 @@ it is compiled once for all solvers:
 declared options; `status` is a `Status`, `iterations` the number of inner (Newton) iterations.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -90,6 +91,6 @@ class LocalSolver:
         if not isinstance(self.facets, str):
             return self.facets
         facets = given.get(self.facets, self.options[self.facets].default)
-        if facets != int(facets) or facets < 3:
+        if not 3 <= facets < math.inf or facets != int(facets):
             raise ValueError(f"option {self.facets!r} must be an integer >= 3, not {facets:g}")
         return int(facets)

@@ -4,7 +4,7 @@ import math
 from typing import Any, NamedTuple
 
 from fibercontact.jit import jit, jit_inline
-from fibercontact.local.algebra import solve3
+from fibercontact.local.algebra import is_finite, solve3
 from fibercontact.local.contract import Matrix, Option, Status
 from fibercontact.problem.cone import Vector, norm
 
@@ -17,6 +17,8 @@ NEWTON_OPTIONS = {
 
 ARMIJO = 1e-4
 SHORTEST_STEP = 2.0**-20
+LARGEST = 1e9
+"""Impulse, relative to b in velocity units, above which rounding makes the function's value meaningless."""
 
 
 class Contact(NamedTuple):
@@ -57,6 +59,8 @@ def newton(
 
     Returns the status, the last impulse (the best one when damped) and the number of iterations.
     """
+    if not is_finite(W, b, mu):
+        return Status.NOT_FINITE, r, 0
     contact, sigma = scaled(W, b, mu)
     threshold = tolerance * norm(b)
     x = (sigma * r[0], sigma * r[1], sigma * r[2])
@@ -88,6 +92,8 @@ def newton(
         x, size = trial, new_size
     if size <= threshold:
         status = Status.CONVERGED
+    if status == Status.CONVERGED and not norm(x) <= LARGEST * norm(b):
+        status = Status.INACCURATE
     if not math.isfinite(x[0] + x[1] + x[2]):
         status = Status.NOT_FINITE
     return status, (x[0] / sigma, x[1] / sigma, x[2] / sigma), done

@@ -16,10 +16,12 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import numba
 import numpy as np
+from numba.core import config
+from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
+from fibercontact.errors import UserError
 from fibercontact.jit import cache_folder, content_key
 from fibercontact.local import methods
 from fibercontact.local.contract import KERNEL_SIGNATURE, LocalSolver
@@ -29,7 +31,7 @@ __all__ = ["ENTRY_POINTS", "Configured", "Registered", "SolverError", "configure
 ENTRY_POINTS = "fibercontact.local_solvers"
 
 
-class SolverError(ValueError):
+class SolverError(UserError):
     """A local solver that cannot be found, loaded or configured; the message says why."""
 
 
@@ -46,7 +48,9 @@ class Registered:
     @property
     def summary(self) -> str:
         """First line of the documentation."""
-        return self.documentation.strip().splitlines()[0] if self.documentation.strip() else "(no documentation)"
+        return (
+            self.documentation.strip().splitlines()[0] if self.documentation.strip() else "(no documentation)"
+        )
 
 
 @dataclass(frozen=True)
@@ -64,15 +68,17 @@ class Configured:
         Raises `SolverError` when the kernel does not compile to the signature of the contract.
         """
         kernel = self.registered.solver.kernel
-        if numba.config.DISABLE_JIT:
+        if config.DISABLE_JIT:
             return kernel
         try:
             if not kernel.signatures:
                 kernel.compile(KERNEL_SIGNATURE)
                 kernel.disable_compile()
         except AttributeError as error:
-            raise SolverError(f"{self.registered.origin}: the kernel of {self.label!r} is not decorated with @jit") from error
-        except numba.core.errors.NumbaError as error:
+            raise SolverError(
+                f"{self.registered.origin}: the kernel of {self.label!r} is not decorated with @jit"
+            ) from error
+        except NumbaError as error:
             reason = str(error).strip().splitlines()
             raise SolverError(
                 f"{self.registered.origin}: the kernel of {self.label!r} does not compile to the signature "
@@ -85,7 +91,7 @@ def registered(plugins: Sequence[Path] = ()) -> dict[str, Registered]:
     """Every local solver that can be had, by name; raises `SolverError` when a plugin does not load."""
     found = {entry.name: entry for entry in _built_in()}
     for point in entry_points(group=ENTRY_POINTS):
-        found[point.name] = _installed(point.name, point.load(), point.dist.name if point.dist else "unknown")
+        found[point.name] = _installed(point)
     for path in plugins:
         entry = _plugin(path)
         found[entry.name] = entry
@@ -124,13 +130,20 @@ def _registered(name: str, module: ModuleType, origin: str, fingerprint: str) ->
     return Registered(name, solver, origin, module.__doc__ or "", fingerprint)
 
 
-def _installed(name: str, thing: Any, distribution: str) -> Registered:
+def _installed(point: Any) -> Registered:
     """An entry point names a module with a `solver`, or a `LocalSolver` itself."""
+    origin = f"package {point.dist.name if point.dist else 'unknown'}"
+    try:
+        thing = point.load()
+    except Exception as error:  # whatever a stranger's package raises while it is imported
+        raise SolverError(f"{origin}: {type(error).__name__}: {error}") from error
+    if not isinstance(thing, ModuleType | LocalSolver):
+        raise SolverError(f"{origin}: {point.name!r} is neither a module nor a LocalSolver")
     module = thing if isinstance(thing, ModuleType) else sys.modules[thing.kernel.__module__]
     if isinstance(thing, LocalSolver):
         module.solver = thing  # type: ignore[attr-defined]
     file = Path(str(module.__file__))
-    return _registered(name, module, f"package {distribution}", content_key([file]))
+    return _registered(point.name, module, origin, content_key([file]))
 
 
 def _plugin(path: Path) -> Registered:
@@ -145,7 +158,7 @@ def _plugin(path: Path) -> Registered:
             _load(path, identifier, fingerprint)
     except SolverError:
         raise
-    except Exception as error:  # whatever a stranger's file raises while it is imported
+    except (Exception, SystemExit) as error:  # whatever a stranger's file raises while it is imported
         raise SolverError(f"{path}: {type(error).__name__}: {error}") from error
     return _registered(name, sys.modules[identifier], str(path), fingerprint)
 
@@ -181,18 +194,25 @@ def _with_neighbours(path: Path) -> list[Path]:
 @contextmanager
 def _own_cache(fingerprint: str) -> Iterator[None]:
     """Compiled code of a plugin goes to a folder named after its content."""
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(cache_folder() / f"plugin-{fingerprint}")
+    before = config.CACHE_DIR
+    config.CACHE_DIR = str(cache_folder() / f"plugin-{fingerprint}")
     try:
         yield
     finally:
-        numba.config.CACHE_DIR = before
+        config.CACHE_DIR = before
 
 
 @contextmanager
 def _importable(folder: Path) -> Iterator[None]:
+    """Let a plugin import the modules beside it, read from their sources and shared with no other plugin."""
+    before, writes = set(sys.modules), sys.dont_write_bytecode
     sys.path.insert(0, str(folder))
+    sys.dont_write_bytecode = True  # its check of the time of an edit is too coarse
     try:
         yield
     finally:
+        sys.dont_write_bytecode = writes
         sys.path.remove(str(folder))
+        for name in set(sys.modules) - before:
+            if Path(getattr(sys.modules[name], "__file__", None) or "").parent == folder:
+                del sys.modules[name]

@@ -10,7 +10,14 @@ from fibercontact.local.algebra import Tangential, law_residual, slip_impulse
 from fibercontact.local.contract import Matrix, Option, Status
 from fibercontact.problem.cone import Vector, norm
 
-__all__ = ["ENUMERATIVE_OPTIONS", "closed_roots", "closed_slip", "companion_roots", "companion_slip", "slip_quartic"]
+__all__ = [
+    "ENUMERATIVE_OPTIONS",
+    "closed_roots",
+    "closed_slip",
+    "companion_roots",
+    "companion_slip",
+    "slip_quartic",
+]
 
 Quartic = tuple[float, float, float, float, float]
 Roots = tuple[complex, complex, complex, complex]
@@ -21,6 +28,9 @@ ENUMERATIVE_OPTIONS = {
 
 REAL_ANGLE = 1e-3
 """A root counts as real up to this ratio of imaginary to real part: rounding splits a double root by sqrt(eps)."""
+
+BIQUADRATIC = 1e-18
+"""Relative size of the resolvent's root below which the depressed quartic has no linear term but rounding."""
 
 
 @jit
@@ -68,7 +78,11 @@ def closed_roots(c: Quartic) -> tuple[bool, Roots]:
     q = b1 - 0.5 * b3 * b2 + 0.125 * b3 * b3 * b3
     r = b0 - 0.25 * b3 * b1 + b3 * b3 * b2 / 16.0 - 3.0 / 256.0 * b3 * b3 * b3 * b3
     m = largest_cubic_root(p, 0.25 * p * p - r, -0.125 * q * q)
-    if not m > 0.0:  # biquadratic
+    for _ in range(2):  # Newton gives a small m its relative accuracy
+        slope = (3.0 * m + 2.0 * p) * m + 0.25 * p * p - r
+        if slope > 0.0:
+            m -= (((m + p) * m + 0.25 * p * p - r) * m - 0.125 * q * q) / slope
+    if not m > BIQUADRATIC * (abs(p) + math.sqrt(abs(r))):
         s = cmath.sqrt(complex(0.25 * p * p - r, 0.0))
         x, y = cmath.sqrt(-0.5 * p + s), cmath.sqrt(-0.5 * p - s)
         return True, (shift + x, shift - x, shift + y, shift - y)

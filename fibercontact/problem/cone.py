@@ -40,10 +40,10 @@ def project_cone(x: Vector, mu: float) -> Vector:
     (0.5, 0.5, 0.0)
     """
     tangential = math.sqrt(x[1] * x[1] + x[2] * x[2])
-    if tangential <= mu * x[0]:
-        return x
     if mu * tangential <= -x[0]:
         return (0.0, 0.0, 0.0)
+    if tangential <= mu * x[0]:
+        return x
     normal = (x[0] + mu * tangential) / (1.0 + mu * mu)
     scale = mu * normal / tangential
     return (normal, scale * x[1], scale * x[2])
@@ -67,7 +67,7 @@ def project_pyramid(x: Vector, mu: float, facets: int) -> Vector:
     out, along = c * x[1] + s * x[2], c * x[2] - s * x[1]
     apothem = mu * math.cos(math.pi / facets)
     half = mu * math.sin(math.pi / facets)
-    if out <= apothem * x[0]:
+    if x[0] >= 0.0 and out <= apothem * x[0]:
         return x
     normal = (x[0] + apothem * out) / (1.0 + apothem * apothem)
     if normal > 0.0 and abs(along) <= half * normal:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import bsr_array, csr_array
 
+from fibercontact.errors import UserError
 from fibercontact.jit import jit
 
 __all__ = [
@@ -29,7 +30,7 @@ ROUNDING = 1e-12  # relative asymmetry that is put down to rounding
 ASYMMETRY_LIMIT = 1e-2  # beyond it the average of a matrix and its transpose is another problem
 
 
-class ProblemError(ValueError):
+class ProblemError(UserError):
     """A problem that is not one; the message names the fault and where it is."""
 
 

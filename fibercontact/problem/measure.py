@@ -43,9 +43,7 @@ def relative(size: float, b_ref: float) -> float:
 
 
 @jit
-def _sums(
-    u: Array, r: Array, mu: Array, sigma: Array, facets: int, squares: Array
-) -> None:
+def _sums(u: Array, r: Array, mu: Array, sigma: Array, facets: int, squares: Array) -> None:
     """Add the squared norms of the three residuals to `squares`: the law's, Coulomb's, Fischer–Burmeister's."""
     for i in range(len(mu)):
         ui = (u[3 * i], u[3 * i + 1], u[3 * i + 2])
@@ -55,7 +53,8 @@ def _sums(
             natural_map(ui, ri, mu[i], sigma[i], facets),
             natural_map(ui, ri, mu[i], sigma[i], COULOMB),
             fischer_burmeister(
-                (mu[i] * sigma[i] * ri[0], sigma[i] * ri[1], sigma[i] * ri[2]), (y[0], mu[i] * y[1], mu[i] * y[2])
+                (mu[i] * sigma[i] * ri[0], sigma[i] * ri[1], sigma[i] * ri[2]),
+                (y[0], mu[i] * y[1], mu[i] * y[2]),
             ),
         )
         for k in range(3):

@@ -4,8 +4,10 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Polygon
 from numpy.typing import NDArray
 
 from fibercontact.contact.obstacles import Cylinder, Obstacle, Sphere
@@ -71,14 +73,14 @@ def _project(points: Array) -> tuple[Array, Array]:
     return np.column_stack([right, up]), -np.cos(tilt) * back - np.sin(tilt) * points[:, 2]
 
 
-def _draw_obstacle(axes: "matplotlib.axes.Axes", obstacle: Obstacle) -> None:
+def _draw_obstacle(axes: Axes, obstacle: Obstacle) -> None:
     if isinstance(obstacle, Sphere):
         centre, _ = _project(obstacle.point[None])
-        axes.add_patch(matplotlib.patches.Circle(tuple(centre[0]), obstacle.radius, color="#e8e2da", zorder=0))
+        axes.add_patch(Circle((centre[0, 0], centre[0, 1]), obstacle.radius, color="#e8e2da", zorder=0))
     elif isinstance(obstacle, Cylinder):
         half = 0.5 * min(obstacle.length, 0.12)
-        ends, _ = _project(np.array([obstacle.point - half * obstacle.axis, obstacle.point + half * obstacle.axis]))
+        ends, _ = _project(obstacle.point + np.array([[-half], [half]]) * obstacle.axis)
         along = ends[1] - ends[0]
         across = obstacle.radius * np.array([-along[1], along[0]]) / max(float(np.hypot(*along)), 1e-12)
         corners = [ends[0] + across, ends[1] + across, ends[1] - across, ends[0] - across]
-        axes.add_patch(matplotlib.patches.Polygon(corners, color="#dcd6ce", zorder=0))
+        axes.add_patch(Polygon(corners, color="#dcd6ce", zorder=0))

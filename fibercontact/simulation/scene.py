@@ -1,7 +1,7 @@
 """What a scene is: rods, rigid bodies that carry their roots and the obstacles, and the physics' constants."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fibercontact.contact.obstacles import Obstacle
 from fibercontact.rods.model import Rods, State
 
-__all__ = ["STILL", "Body", "Motion", "Scene"]
+__all__ = ["STILL", "Body", "Motion", "Scene", "earth"]
 
 Array = NDArray[np.float64]
 
@@ -23,6 +23,11 @@ class Motion(NamedTuple):
 
 
 STILL = Motion(np.zeros(3), np.zeros(3))
+
+
+def earth(time: float) -> Array:
+    """Gravity (3,) in m/s² that does not change, downwards along z."""
+    return np.array([0.0, 0.0, -9.81])
 
 
 @dataclass(frozen=True)
@@ -53,7 +58,7 @@ class Scene:
     steps: int
     mu_fibres: float
     mu_obstacles: float
-    gravity: Callable[[float], Array] = field(default=lambda time: np.array([0.0, 0.0, -9.81]))
+    gravity: Callable[[float], Array] = earth
     segments: int = 20
     margin: float = 0.2
     skip_root: float = 0.0

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fibercontact.contact.obstacles import Cylinder, Plane, Sphere
+from fibercontact.errors import UserError
 from fibercontact.rods.model import Rods, circular_rods, rest_state
-from fibercontact.simulation.scene import Body, Motion, Scene
+from fibercontact.simulation.scene import Body, Motion, Scene, earth
 
 __all__ = ["KINDS", "SCENES", "Parameters", "SceneError", "build"]
 
@@ -27,7 +28,7 @@ DAMPING = 0.02  # s
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
-class SceneError(ValueError):
+class SceneError(UserError):
     """A scene that is not known or cannot be built; the message says why."""
 
 
@@ -91,7 +92,9 @@ def _hexagonal(count: int, spacing: float) -> Array:
     reach = math.ceil(math.sqrt(count)) + 2
     i, j = (x.ravel() for x in np.mgrid[-reach : reach + 1, -reach : reach + 1])
     points = spacing * np.column_stack([i + 0.5 * j, math.sqrt(0.75) * j])
-    return points[np.lexsort((points[:, 1], points[:, 0], np.round(np.linalg.norm(points, axis=1), 9)))][:count]
+    return points[np.lexsort((points[:, 1], points[:, 0], np.round(np.linalg.norm(points, axis=1), 9)))][
+        :count
+    ]
 
 
 def _hanging(count: int, spacing: float, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -137,7 +140,9 @@ def _dropped(p: Parameters, rng: np.random.Generator, spread: float, low: float)
     rods = _rods(p, 0.1, rng, free=True)
     angle = rng.uniform(0, 2 * math.pi, p.fibres)
     tangents = np.column_stack([np.cos(angle), np.sin(angle), 0.05 * rng.standard_normal(p.fibres)])
-    middle = np.column_stack([rng.uniform(-spread, spread, (p.fibres, 2)), low + 1.5e-3 * np.arange(p.fibres)])
+    middle = np.column_stack(
+        [rng.uniform(-spread, spread, (p.fibres, 2)), low + 1.5e-3 * np.arange(p.fibres)]
+    )
     return rods, middle - 0.5 * rods.length[:, None] * tangents, _frames(tangents, rng)
 
 
@@ -168,7 +173,9 @@ def twist(p: Parameters, rng: np.random.Generator) -> Scene:
         roots, frames = _hanging(count, 1.2e-3, rng)
         sides.append((lean.apply(roots) + [0.012 * side, 0.0, 0.0], lean.as_matrix() @ frames))
     roots, frames = (np.concatenate(x) for x in zip(*sides, strict=True))
-    body = Body(np.zeros(3), lambda time: Motion(np.zeros(3), np.array([0.0, 0.0, 6.0 * min(1.0, time / 0.1)])))
+    body = Body(
+        np.zeros(3), lambda time: Motion(np.zeros(3), np.array([0.0, 0.0, 6.0 * min(1.0, time / 0.1)]))
+    )
     return _scene(p, twist, _rods(p, 0.14, rng), roots, frames, [body], dt=4e-3, steps=250)
 
 
@@ -179,7 +186,9 @@ def comb(p: Parameters, rng: np.random.Generator) -> Scene:
     teeth = np.arange(-0.5 * width, 0.5 * width + 4e-3, 4.5e-3)
     length = depth + 0.02
     behind = -0.5 * (depth + length) - 3e-3
-    cylinders = [Cylinder(np.array([x, behind, -0.03]), np.array([0.0, 1.0, 0.0]), 1e-3, length) for x in teeth]
+    cylinders = [
+        Cylinder(np.array([x, behind, -0.03]), np.array([0.0, 1.0, 0.0]), 1e-3, length) for x in teeth
+    ]
     inserted = (depth + 0.01) / 0.15
 
     def draw(time: float) -> Motion:
@@ -198,7 +207,7 @@ def _scene(
     bodies: list[Body],
     dt: float,
     steps: int,
-    gravity: Callable[[float], Array] | None = None,
+    gravity: Callable[[float], Array] = earth,
     skip_root: float = 2e-3,
 ) -> Scene:
     return Scene(
@@ -212,8 +221,8 @@ def _scene(
         steps=steps,
         mu_fibres=p.mu,
         mu_obstacles=p.mu_obstacles,
+        gravity=gravity,
         skip_root=0.0 if rods.free else skip_root,
-        **({"gravity": gravity} if gravity else {}),
     )
 
 
@@ -251,7 +260,7 @@ SCENES: Mapping[str, Parameters] = {_name(p): p for p in _RUNS}
 
 
 def build(scene: str | Parameters) -> Scene:
-    """Build a scene by its name or from parameters; raises `SceneError` listing the names when it is not known."""
+    """Build a scene by its name or from parameters; raises `SceneError` listing what is known."""
     if isinstance(scene, str):
         if scene not in SCENES:
             raise SceneError(f"unknown scene {scene!r} (known: {', '.join(SCENES)})")

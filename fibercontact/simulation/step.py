@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csr_array
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from fibercontact.contact.assemble import ContactSystem, assemble, obstacle_drift
 from fibercontact.contact.detect import Contacts, detect
 from fibercontact.contact.obstacles import Obstacle
+from fibercontact.errors import UserError
 from fibercontact.gauss_seidel.anderson import Acceleration
 from fibercontact.gauss_seidel.solver import GaussSeidel, Run
 from fibercontact.local.registry import configure, registered
@@ -26,7 +27,7 @@ __all__ = ["SimulationError", "Step", "World", "simulate", "start"]
 Array = NDArray[np.float64]
 
 
-class SimulationError(ArithmeticError):
+class SimulationError(UserError):
     """A simulation that cannot go on; the message says when and why."""
 
 
@@ -76,19 +77,21 @@ def simulate(scene: Scene) -> Iterator[Step]:
 
 
 def take_step(scene: Scene, solver: GaussSeidel, world: World, index: int) -> Step:
-    """Advance a world by one step of its scene."""
+    """Advance a world by one step of its scene; raises `SimulationError` when the motion has blown up."""
     began = time.perf_counter()
     end = world.time + scene.dt
     motions = [body.motion(end) for body in world.bodies]
     obstacles = _moving_obstacles(world.bodies, motions)
     roots = _root_motion(scene, world, motions)
     M, f = step_system(scene.rods, world.state, roots, scene.gravity(end), scene.dt)
+    if not (np.isfinite(M).all() and np.isfinite(f).all()):
+        raise SimulationError(f"{scene.name}: the motion blew up at {world.time:g} s; take a smaller dt")
     contacts = detect(
         centreline(scene.rods, world.state, scene.segments), scene.rods.length, scene.rods.radius,
         margin=scene.margin, skip_root=scene.skip_root, obstacles=obstacles,
     )  # fmt: skip
     if len(contacts.gap) == 0:
-        v = np.linalg.solve(M, -f[:, :, None])[:, :, 0]
+        v = np.asarray(np.linalg.solve(M, -f[:, :, None])[:, :, 0], dtype=np.float64)
         nothing = np.zeros(0)
         moved = _moved(scene, world, v, roots, motions, contacts, np.zeros((0, 3)))
         return Step(index, moved, contacts, None, nothing, None, time.perf_counter() - began)
@@ -104,11 +107,15 @@ def take_step(scene: Scene, solver: GaussSeidel, world: World, index: int) -> St
 
 
 def _moved(
-    scene: Scene, world: World, v: Array, roots: RootMotion, motions: list[Motion], contacts: Contacts, impulses: Array
+    scene: Scene,
+    world: World,
+    v: Array,
+    roots: RootMotion,
+    motions: list[Motion],
+    contacts: Contacts,
+    impulses: Array,
 ) -> World:
-    """The world at the end of the step; raises `SimulationError` when the motion has blown up."""
-    if not np.isfinite(v).all():
-        raise SimulationError(f"{scene.name}: the motion is no longer finite at {world.time:g} s; take a smaller dt")
+    """The world at the end of the step."""
     state = advance(scene.rods, world.state, v, roots, scene.dt)
     bodies = tuple(
         replace(
@@ -162,8 +169,9 @@ def _root_motion(scene: Scene, world: World, motions: list[Motion]) -> RootMotio
     arm = world.state.root_position - pivot
 
     def of_roots(body_motions: list[Motion]) -> tuple[Array, Array]:
-        V, Omega = (np.array(x)[scene.carrier] for x in zip(*body_motions, strict=True))
-        return V + np.cross(Omega, arm), Omega
+        of_bodies = (np.array(x) for x in zip(*body_motions, strict=True))
+        velocity, omega = (x[scene.carrier] for x in of_bodies)
+        return velocity + np.cross(omega, arm), omega
 
     (velocity, omega), (old_velocity, old_omega) = of_roots(motions), of_roots(before)
     centripetal = np.cross(omega, np.cross(omega, arm))
@@ -176,8 +184,9 @@ def _root_motion(scene: Scene, world: World, motions: list[Motion]) -> RootMotio
 
 
 def _block_diagonal(M: Array) -> csr_array:
+    """One block a rod; symmetric bit for bit, so that a file holds the very problem that was solved."""
     R, D, _ = M.shape
-    return bsr_array((M, np.arange(R), np.arange(R + 1)), shape=(R * D, R * D)).tocsr()
+    return bsr_array((0.5 * (M + M.transpose(0, 2, 1)), np.arange(R), np.arange(R + 1)), shape=(R * D, R * D)).tocsr()
 
 
 def _guess(world: World, contacts: Contacts, frames: Array) -> Array:
@@ -186,9 +195,9 @@ def _guess(world: World, contacts: Contacts, frames: Array) -> Array:
     last = world.contacts
     if last is None or world.impulses is None or len(last.gap) == 0:
         return guess.ravel()
-    distance, nearest = cKDTree(_signature(last)).query(_signature(contacts), distance_upper_bound=1.0)
+    distance, nearest = KDTree(_signature(last)).query(_signature(contacts), distance_upper_bound=1.0)
     found = np.isfinite(distance)
-    guess[found] = np.einsum("nij,nj->ni", frames[found], world.impulses[nearest[found]])
+    guess[found] = np.einsum("nij,nj->ni", frames[found], world.impulses[np.asarray(nearest)[found]])
     return guess.ravel()
 
 

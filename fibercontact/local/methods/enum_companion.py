@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fibercontact.jit import jit
-from fibercontact.local.algebra import SLIP, eliminate_normal, open_or_stick
+from fibercontact.local.algebra import SLIP, eliminate_normal, is_finite, open_or_stick
 from fibercontact.local.contract import LocalSolver, Matrix, Status
 from fibercontact.local.slip_quartic import ENUMERATIVE_OPTIONS, companion_slip
 from fibercontact.problem.cone import Vector
@@ -19,8 +19,12 @@ __all__ = ["solver"]
 
 
 @jit
-def kernel(W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]) -> tuple[int, Vector, int]:
+def kernel(
+    W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]
+) -> tuple[int, Vector, int]:
     """Solve one contact; see the module's docstring."""
+    if not is_finite(W, b, mu):
+        return Status.NOT_FINITE, r, 0
     t = eliminate_normal(W, b)
     regime, simple = open_or_stick(t, b, mu)
     if regime != SLIP:

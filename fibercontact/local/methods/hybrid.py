@@ -13,8 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fibercontact.jit import jit
-from fibercontact.local.algebra import SLIP, Tangential, eliminate_normal, law_residual, open_or_stick
-from fibercontact.local.contract import LocalSolver, Matrix, Option, Status
+from fibercontact.local.algebra import (
+    SLIP,
+    Tangential,
+    eliminate_normal,
+    is_finite,
+    law_residual,
+    open_or_stick,
+)
+from fibercontact.local.contract import LocalSolver, Matrix, Status
 from fibercontact.local.fischer_burmeister import modified_fischer_burmeister
 from fibercontact.local.newton import NEWTON_OPTIONS, newton
 from fibercontact.local.slip_quartic import ENUMERATIVE_OPTIONS, closed_slip, companion_slip
@@ -35,7 +42,7 @@ def refine(
 ) -> tuple[float, Vector, int]:
     """The better of a rough impulse and Newton's answer from there, with its residual."""
     rough = law_residual(W, b, mu, r)
-    status, newton_r, iterations = mfb(W, b, mu, r, options)
+    _, newton_r, iterations = mfb(W, b, mu, r, options)
     refined = law_residual(W, b, mu, newton_r)
     return (refined, newton_r, iterations) if refined < rough else (rough, r, iterations)
 
@@ -64,8 +71,12 @@ def enumerate_slip(
 
 
 @jit
-def kernel(W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]) -> tuple[int, Vector, int]:
+def kernel(
+    W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]
+) -> tuple[int, Vector, int]:
     """Solve one contact; see the module's docstring."""
+    if not is_finite(W, b, mu):
+        return Status.NOT_FINITE, r, 0
     t = eliminate_normal(W, b)
     regime, simple = open_or_stick(t, b, mu)
     if regime != SLIP:
@@ -77,6 +88,4 @@ def kernel(W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float
     return status, slip, iterations + more
 
 
-solver = LocalSolver(
-    kernel, options=NEWTON_OPTIONS | {"accepted": ENUMERATIVE_OPTIONS["tolerance"]}
-)
+solver = LocalSolver(kernel, options=NEWTON_OPTIONS | {"accepted": ENUMERATIVE_OPTIONS["tolerance"]})

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fibercontact.jit import jit
+from fibercontact.local.algebra import is_finite
 from fibercontact.local.contract import LocalSolver, Matrix, Status
 from fibercontact.local.fischer_burmeister import modified_fischer_burmeister
 from fibercontact.local.newton import NEWTON_OPTIONS, newton
@@ -20,8 +21,12 @@ __all__ = ["solver"]
 
 
 @jit
-def kernel(W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]) -> tuple[int, Vector, int]:
+def kernel(
+    W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]
+) -> tuple[int, Vector, int]:
     """Solve one contact; see the module's docstring."""
+    if not is_finite(W, b, mu):
+        return Status.NOT_FINITE, r, 0
     if mu <= 0.0:
         return Status.CONVERGED, (max(0.0, -b[0] / W[0][0]), 0.0, 0.0), 0
     return newton(modified_fischer_burmeister, W, b, mu, r, options[0], int(options[1]), True)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fibercontact.jit import jit
-from fibercontact.local.algebra import affine, eliminate_normal, slip_impulse
+from fibercontact.local.algebra import affine, eliminate_normal, is_finite, stick_impulse
 from fibercontact.local.contract import LocalSolver, Matrix, Option, Status
 from fibercontact.problem.cone import Vector, natural_map, norm, project_pyramid
 
@@ -58,19 +58,21 @@ def face_residual(W: Matrix, b: Vector, mu: float, facets: int, r: Vector) -> fl
 
 
 @jit
-def kernel(W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]) -> tuple[int, Vector, int]:
+def kernel(
+    W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]
+) -> tuple[int, Vector, int]:
     """Solve one contact; see the module's docstring."""
+    if not is_finite(W, b, mu):
+        return Status.NOT_FINITE, r, 0
     facets = int(options[0])
     if b[0] >= 0.0:
         return Status.CONVERGED, (0.0, 0.0, 0.0), 0
     if mu <= 0.0:
         return Status.CONVERGED, (-b[0] / W[0][0], 0.0, 0.0), 0
-    best = slip_impulse(eliminate_normal(W, b), 0.0)
+    stops, best = stick_impulse(eliminate_normal(W, b), b)
+    if stops and project_pyramid(best, mu, facets) == best:
+        return Status.CONVERGED, best, 0
     least = math.inf
-    if norm(best) < math.inf:
-        inside = project_pyramid(best, mu, facets)
-        if inside == best:
-            return Status.CONVERGED, best, 0
     half = math.pi / facets
     for k in range(2 * facets):
         angle = k * half

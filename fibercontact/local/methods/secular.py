@@ -15,11 +15,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fibercontact.jit import jit
-from fibercontact.local.algebra import SLIP, Tangential, eliminate_normal, open_or_stick, slip_impulse
+from fibercontact.local.algebra import (
+    SHIFT,
+    SLIP,
+    Tangential,
+    eliminate_normal,
+    is_finite,
+    law_residual,
+    open_or_stick,
+    slip_impulse,
+)
 from fibercontact.local.contract import LocalSolver, Matrix, Option, Status
-from fibercontact.problem.cone import Vector
+from fibercontact.problem.cone import Vector, norm
 
 __all__ = ["solver"]
+
+ACCEPTED = 1e-6
+"""Residual, relative to b, above which a root near stick is a failure: `W` is singular and b out of its range."""
 
 
 @jit
@@ -44,21 +56,31 @@ def newton_step(t: Tangential, r: Vector, alpha: float, mu: float) -> tuple[floa
     size = math.sqrt(r[1] * r[1] + r[2] * r[2])
     limit = mu * r[0]
     phi = size - limit
-    slope = mu * (t.w1 * d1 + t.w2 * d2) / t.W_NN * size * size * size + (r[1] * d1 + r[2] * d2) * limit * limit
+    slope = (
+        mu * (t.w1 * d1 + t.w2 * d2) / t.W_NN * size * size * size + (r[1] * d1 + r[2] * d2) * limit * limit
+    )
     return phi, alpha - limit * size * size * phi / slope
 
 
 @jit
-def kernel(W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]) -> tuple[int, Vector, int]:
+def kernel(
+    W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]
+) -> tuple[int, Vector, int]:
     """Solve one contact; see the module's docstring."""
+    if not is_finite(W, b, mu):
+        return Status.NOT_FINITE, r, 0
     t = eliminate_normal(W, b)
     regime, stick = open_or_stick(t, b, mu)
     if regime != SLIP:
         return Status.CONVERGED, stick, 0
     tolerance, budget = options[0], int(options[1])
     low = 0.0
-    high = 2.0 * math.sqrt(t.c1 * t.c1 + t.c2 * t.c2) * (
-        t.W_NN / mu + math.sqrt(t.w1 * t.w1 + t.w2 * t.w2)) / (-t.b_N)
+    high = (
+        2.0
+        * math.sqrt(t.c1 * t.c1 + t.c2 * t.c2)
+        * (t.W_NN / mu + math.sqrt(t.w1 * t.w1 + t.w2 * t.w2))
+        / (-t.b_N)
+    )
     alpha = first_alpha(W, b, mu, r, t)
     for k in range(budget):
         if not low < alpha < high:
@@ -66,7 +88,9 @@ def kernel(W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float
         r = slip_impulse(t, alpha)
         phi, newton = newton_step(t, r, alpha, mu)
         if abs(phi) <= tolerance * mu * r[0] or high - low <= 4e-16 * high:
-            return Status.CONVERGED, on_cone(r, mu), k + 1
+            r = on_cone(r, mu)
+            sound = alpha > SHIFT * (t.trace + t.W_NN) or law_residual(W, b, mu, r) <= ACCEPTED * norm(b)
+            return Status.CONVERGED if sound else Status.INACCURATE, r, k + 1
         if phi > 0.0:
             low = alpha
         else:

@@ -1,0 +1,1 @@
+"""The benchmark: problems replayed through local solvers, rows, tables and figures."""

@@ -1,0 +1,199 @@
+"""One solver on one problem: what a worker process does, one request at a time.
+
+A *pass* is one solve. The first pass is not timed and looks at the residual after every sweep; the timed
+ones run as a user would run them. Every answer is measured here, from `(W, b, mu, r)` alone: what the solver
+says of itself is recorded beside it and decides nothing.
+"""
+
+import dataclasses
+import time
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from fibercontact.bench.protocol import ACCURACIES, OUTERS, BenchError, Limits
+from fibercontact.gauss_seidel.anderson import Acceleration
+from fibercontact.gauss_seidel.solver import GaussSeidel, Outcome, Run, Visits
+from fibercontact.gauss_seidel.sweep import BlockSystem, block_system
+from fibercontact.local.contract import Status
+from fibercontact.local.registry import Configured, configure, registered
+from fibercontact.problem.fclib import FclibFile, read
+from fibercontact.problem.incremental import IncrementalProblem, ProblemWarning
+from fibercontact.problem.measure import Measure, measure
+from fibercontact.problem.step import StepProblem
+
+__all__ = ["Desk", "Laid", "Pass", "gauss_seidel", "judge", "lay_out", "options_text", "starting_impulse"]
+
+Array = NDArray[np.float64]
+
+
+class Laid(NamedTuple):
+    """A problem ready for passes, and the seconds that this took."""
+
+    problem: IncrementalProblem
+    system: BlockSystem
+    setup_seconds: float
+
+
+class Pass(NamedTuple):
+    """What to do with the problem at hand; `solver` is a local solver's specification."""
+
+    solver: str
+    accuracy: str
+    outer: str
+    limits: Limits
+    timed: bool
+
+
+def gauss_seidel(local: Configured, tolerance: float, outer: str, limits: Limits) -> GaussSeidel:
+    """The outer loop by name: `plain`, or `accelerated` (proximal term, Anderson acceleration; THEORY §4)."""
+    loop = GaussSeidel(local, tolerance, limits.sweeps, limits.seconds)
+    if outer == "accelerated":
+        return dataclasses.replace(loop, proximal=0.05, acceleration=Acceleration())
+    return loop
+
+
+def lay_out(problem: IncrementalProblem | StepProblem) -> Laid:
+    """Condense a problem and lay it out for sweeps, on the clock (factorisation included)."""
+    step = dataclasses.replace(problem) if isinstance(problem, StepProblem) else None
+    began = time.perf_counter()
+    incremental = step.condense() if step is not None else problem
+    assert isinstance(incremental, IncrementalProblem)
+    system = block_system(incremental)
+    return Laid(incremental, system, time.perf_counter() - began)
+
+
+def starting_impulse(file: FclibFile, start: str) -> Array | None:
+    """The impulse to start from; raises `BenchError` when the file holds no guess and one is asked for."""
+    if start == "cold":
+        return None
+    for guess in file.guesses:
+        if guess.r is not None:
+            return guess.r
+    raise BenchError(f"{file.path}: no guess of the impulses in it, so no start from one")
+
+
+def options_text(local: Configured) -> str:
+    """All options of a configured solver with their values, `name=value` separated by commas."""
+    names = local.registered.solver.options
+    return ",".join(f"{name}={float(value)!r}" for name, value in zip(names, local.options, strict=True))
+
+
+def judge(run: Run, found: Measure, tolerance: float) -> dict[str, Any]:
+    """The verdict on a run: solved by the harness's measure, claimed by the solver's, the reason if not."""
+    solved = found.residual <= tolerance
+    return {
+        "claimed": run.claimed,
+        "solved": solved,
+        "false_success": run.claimed and not solved,
+        "reason": "" if solved else _reason(run),
+        "detail": "" if solved else _detail(run.visits),
+    }
+
+
+def _reason(run: Run) -> str:
+    if run.outcome == Outcome.SWEEPS:
+        return "local" if run.visits.failures else "outer"
+    return {
+        Outcome.CONVERGED: "false success",
+        Outcome.TIME: "time",
+        Outcome.NOT_FINITE: "not finite",
+    }[run.outcome]
+
+
+def _detail(visits: Visits) -> str:
+    """How the local solves failed, by status."""
+    failed = [(count, status) for status, count in visits.by_status.items() if status != Status.CONVERGED]
+    return ", ".join(
+        f"{status.name.lower()} {count}" for count, status in sorted(failed, reverse=True) if count
+    )
+
+
+class Desk:
+    """The solvers of a table, compiled, and the problem at hand."""
+
+    def __init__(self, plugins: Sequence[Path], solvers: Sequence[str]) -> None:
+        known = registered(plugins)
+        self._solvers = {label: configure(label, known) for label in solvers}
+        self._laid: Laid | None = None
+        self._start: Array | None = None
+        for local in self._solvers.values():
+            local.kernel()  # compiled but not run: a stranger's kernel may hang
+        _warm_up(configure("secular", known))
+
+    def fingerprints(self) -> dict[str, str]:
+        """What the solvers were compiled from."""
+        return {label: local.registered.fingerprint for label, local in self._solvers.items()}
+
+    def load(self, path: Path, start: str) -> dict[str, Any]:
+        """Take a problem from its file; returns its sizes, the seconds of its set-up, how it was altered."""
+        with warnings.catch_warnings(record=True) as altered:
+            warnings.simplefilter("always", ProblemWarning)
+            file = read(path)
+        self._start = starting_impulse(file, start)
+        self._laid = lay_out(file.problem)
+        problem = self._laid.problem
+        return {
+            "contacts": problem.n,
+            "dofs": getattr(file.problem, "d", None),
+            "mu_min": float(problem.mu.min()) if problem.n else None,
+            "mu_max": float(problem.mu.max()) if problem.n else None,
+            "blocks": len(problem.W.indices),
+            "setup_seconds": self._laid.setup_seconds,
+            "warning": "; ".join(str(warning.message).removeprefix(f"{path}: ") for warning in altered),
+        }
+
+    def solve(self, task: Pass) -> dict[str, Any]:
+        """One pass over the problem at hand."""
+        assert self._laid is not None, "no problem loaded"
+        local = self._solvers[task.solver]
+        tolerance = ACCURACIES[task.accuracy]
+        loop = gauss_seidel(local, tolerance, task.outer, task.limits)
+        if not task.timed:
+            loop = dataclasses.replace(loop, check_every=1)
+        problem = self._laid.problem
+        began = time.perf_counter()
+        run = loop.solve_system(self._laid.system, problem.b_ref, self._start)
+        seconds = time.perf_counter() - began
+        found = measure(problem, run.r, local.facets)
+        return {"seconds": seconds} | judge(run, found, tolerance) | _account(run, found)
+
+
+def _warm_up(local: Configured) -> None:
+    """Run everything that a pass runs once, before any clock starts."""
+    laid = lay_out(_one_contact())
+    for outer in OUTERS:
+        run = gauss_seidel(local, 1e-12, outer, Limits(9, 1.0)).solve_system(laid.system, laid.problem.b_ref)
+        measure(laid.problem, run.r, local.facets)
+
+
+def _account(run: Run, found: Measure) -> dict[str, Any]:
+    """What a pass leaves in its row beside the verdict."""
+    visits = run.visits
+    return {
+        "outcome": run.outcome.name.lower(),
+        "sweeps": run.sweeps,
+        "visits_open": visits.open,
+        "visits_stick": visits.stick,
+        "visits_slip": visits.slip,
+        "local_failures": visits.failures,
+        "local_status": {status.name.lower(): count for status, count in visits.by_status.items() if count},
+        "local_iterations": visits.iterations,
+        **dataclasses.asdict(found),
+    }
+
+
+def _one_contact() -> StepProblem:
+    """A unit mass on a plane, pushed down and aside."""
+    return StepProblem(
+        csr_array(np.eye(3)),
+        np.array([1.0, -0.5, 0.0]),
+        csr_array(np.eye(3)),
+        np.zeros(3),
+        np.array([0.3]),
+    )

@@ -1,0 +1,108 @@
+"""A set of problems: a folder of FCLIB files, with a manifest or without."""
+
+import csv
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from fibercontact.bench.protocol import BenchError
+
+__all__ = ["UNSOLVABLE", "Entry", "find_set", "limited", "load_set"]
+
+UNSOLVABLE = "unsolvable"
+"""Value of the manifest's column `existence` for a problem that is proved to have no solution."""
+
+MANIFEST = "manifest.csv"
+SUFFIXES = (".hdf5", ".h5")
+HASH_DIGITS = 16
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A problem of a set: file, scene, start of the file's SHA-256, what is known of existence."""
+
+    file: Path
+    scene: str
+    hash: str
+    existence: str = ""
+
+    @property
+    def name(self) -> str:
+        """The file's name without its suffix."""
+        return self.file.stem
+
+
+def find_set(name: str) -> Path:
+    """Folder of a set: a path, or a folder's name in `problems/` of the checkout or of the current folder."""
+    checkout = Path(__file__).parents[2]
+    candidates = [Path(name), checkout / "problems" / name, Path("problems") / name]
+    for folder in candidates:
+        if folder.is_dir():
+            return folder
+    shelves = {candidate.parent for candidate in candidates[1:] if candidate.parent.is_dir()}
+    known = sorted({folder.name for shelf in shelves for folder in shelf.iterdir() if folder.is_dir()})
+    raise BenchError(f"no set of problems {name!r}: not a folder (known sets: {', '.join(known) or 'none'})")
+
+
+def load_set(folder: Path) -> list[Entry]:
+    """The problems of a folder, in the manifest's order or by file name.
+
+    Raises `BenchError` when there is none or one is there twice, when a file of the manifest is missing, or
+    when its content is not the one whose hash the manifest holds.
+    """
+    manifest = folder / MANIFEST
+    entries = _listed(manifest) if manifest.is_file() else _found(folder)
+    if not entries:
+        raise BenchError(f"{folder}: no FCLIB files ({', '.join('*' + s for s in SUFFIXES)}) in it")
+    seen: dict[str, Entry] = {}
+    for entry in entries:
+        if (other := seen.setdefault(entry.hash, entry)) is not entry:
+            raise BenchError(f"{folder}: {other.file.name} and {entry.file.name} are the same problem")
+    return entries
+
+
+def limited(entries: Sequence[Entry], limit: int | None) -> list[Entry]:
+    """`limit` problems spread evenly over a set, for trials; all of them by default."""
+    if limit is None or limit >= len(entries):
+        return list(entries)
+    return [entries[k * len(entries) // limit] for k in range(limit)]
+
+
+def _found(folder: Path) -> list[Entry]:
+    files = sorted(file for file in folder.iterdir() if file.suffix in SUFFIXES)
+    return [Entry(file, folder.resolve().name, _sha256(file)[:HASH_DIGITS]) for file in files]
+
+
+def _listed(manifest: Path) -> list[Entry]:
+    with manifest.open(newline="", encoding="utf-8") as stream:
+        lines = list(csv.DictReader(stream))
+    return [_entry(manifest, number, line) for number, line in enumerate(lines, start=2)]
+
+
+def _entry(manifest: Path, number: int, line: dict[str, str]) -> Entry:
+    if not line.get("file"):
+        raise BenchError(f"{manifest}: no file named in line {number}")
+    file = manifest.parent / line["file"]
+    if not file.is_file():
+        raise BenchError(f"{manifest}: {line['file']} is listed but not there")
+    found, expected = _sha256(file), line.get("hash")
+    if expected and expected != found[: len(expected)] and expected != _content_hash(file)[: len(expected)]:
+        raise BenchError(
+            f"{file}: its content is not the one that the manifest lists (hash {expected[:16]}…)"
+        )
+    scene = line.get("scene") or manifest.parent.resolve().name
+    return Entry(file, scene, found[:HASH_DIGITS], line.get("existence") or "")
+
+
+def _sha256(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def _content_hash(file: Path) -> str:
+    """Hash of the incremental problem in a file: for manifests that name the problem, not the file."""
+    from fibercontact.problem.fclib import read
+    from fibercontact.problem.incremental import IncrementalProblem
+
+    problem = read(file).problem
+    return (problem if isinstance(problem, IncrementalProblem) else problem.condense()).content_hash()

@@ -1,0 +1,51 @@
+"""The command line: one module a command, registered by one line each.
+
+Nothing heavy is imported here or at the top of a command's module, so that help comes at once.
+"""
+
+from typing import Annotated
+
+import typer
+
+import fibercontact
+from fibercontact.cli import info, simulate, solve, solvers, table
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="fibercontact",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+app.command("table")(table.table)
+app.command("solve")(solve.solve)
+app.command("info")(info.info)
+app.command("solvers")(solvers.solvers)
+app.command("simulate")(simulate.simulate)
+app.command("dump")(simulate.dump)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"fibercontact {fibercontact.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Compare local solvers of frictional contact on problems from thin elastic rods.
+
+    Start with `fibercontact table`, which regenerates the comparison table; `fibercontact COMMAND --help`
+    explains a command.
+    """
+
+
+def main() -> None:
+    """Entry point. Exit codes: 0 done, 1 not solved, 2 an error of one line on stderr, 130 interrupted."""
+    app()

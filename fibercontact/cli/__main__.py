@@ -1,0 +1,6 @@
+"""`python -m fibercontact.cli` is the same as `fibercontact`."""
+
+from fibercontact.cli import main
+
+if __name__ == "__main__":
+    main()

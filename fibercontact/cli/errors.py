@@ -1,0 +1,40 @@
+"""What a command does with the errors of its user: one line on stderr, exit code 2."""
+
+import sys
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import typer
+
+__all__ = ["check_known", "user_errors"]
+
+
+@contextmanager
+def user_errors() -> Iterator[None]:
+    """Turn what the user can mend into one line and exit code 2, and warnings into one line each."""
+    from fibercontact.errors import UserError
+
+    with warnings.catch_warnings():
+        warnings.showwarning = _one_line  # type: ignore[assignment]
+        try:
+            yield
+        except BrokenPipeError:  # the reader of our output has gone: no error of the user's
+            raise
+        except (UserError, OSError) as fault:
+            typer.echo(f"error: {' '.join(str(fault).split())}", err=True)
+            raise typer.Exit(2) from None
+
+
+def check_known(what: str, given: Sequence[str], known: Sequence[str]) -> None:
+    """Raise `BenchError` listing what is known when one of `given` is not."""
+    from fibercontact.bench.protocol import BenchError
+
+    for name in given:
+        if name not in known:
+            raise BenchError(f"unknown {what} {name!r} (known: {', '.join(known)})")
+
+
+def _one_line(message: Warning | str, *_: Any) -> None:
+    print(f"warning: {message}", file=sys.stderr)

@@ -1,0 +1,120 @@
+"""`fibercontact solve`: one problem, one local solver."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fibercontact.bench.protocol import ACCURACIES, OUTERS, STARTS
+from fibercontact.cli.errors import check_known, user_errors
+from fibercontact.cli.solvers import Plugins
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from fibercontact.problem.fclib import FclibFile
+    from fibercontact.problem.incremental import IncrementalProblem
+
+__all__ = ["solve"]
+
+
+def solve(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="An FCLIB file (HDF5).")],
+    solver: Annotated[str, typer.Option(metavar="NAME", help="Local solver, `NAME[:option=value,...]`.")],
+    accuracy: Annotated[str, typer.Option(help=f"{', '.join(ACCURACIES)}.")] = "mid",
+    start: Annotated[str, typer.Option(help="cold (zero) or guess (the file's first).")] = "cold",
+    outer: Annotated[str, typer.Option(help="Gauss–Seidel: plain or accelerated.")] = "plain",
+    plugin: Plugins = None,
+    max_sweeps: Annotated[int, typer.Option(help="Sweeps at most.", min=0)] = 5000,
+    max_seconds: Annotated[float, typer.Option(help="Seconds at most.", min=0)] = 30.0,
+    out: Annotated[
+        Path | None, typer.Option(metavar="ANSWER.hdf5", help="Write problem and answer here.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, for scripts.")] = False,
+) -> None:
+    """Solve the problem in an FCLIB file and measure the answer.
+
+    The exit code is 0 only when the residual, recomputed from the answer, meets the accuracy's tolerance; 1
+    when it does not; 2 for an error.
+
+    Example: fibercontact solve FILE.hdf5 --solver hybrid --accuracy high --out ANSWER.hdf5
+    """
+    with user_errors():
+        check_known("accuracy", [accuracy], list(ACCURACIES))
+        check_known("start", [start], STARTS)
+        check_known("outer loop", [outer], OUTERS)
+        _check_output(file, out)
+        from fibercontact.bench.passes import gauss_seidel, judge, lay_out, starting_impulse
+        from fibercontact.bench.protocol import Limits
+        from fibercontact.local.registry import configure, registered
+        from fibercontact.problem.fclib import read
+        from fibercontact.problem.measure import measure
+
+        local = configure(solver, registered(plugin or []))
+        found = read(file)
+        first = starting_impulse(found, start)
+        laid = lay_out(found.problem)
+        loop = gauss_seidel(local, ACCURACIES[accuracy], outer, Limits(max_sweeps, max_seconds))
+        run = loop.solve_system(laid.system, laid.problem.b_ref, first)
+        measured = measure(laid.problem, run.r, local.facets)
+        verdict = judge(run, measured, loop.tolerance)
+        answer = {
+            "file": str(file), "solver": solver, "accuracy": accuracy, "tolerance": loop.tolerance,
+            "solved": verdict["solved"], "status": run.outcome.name.lower(), "message": run.outcome.sentence,
+            "reason": verdict["reason"], "detail": verdict["detail"],
+            "residual": measured.residual, "coulomb_residual": measured.coulomb,
+            "sweeps": run.sweeps, "seconds": run.seconds, "contacts": laid.problem.n,
+        }  # fmt: skip
+        if out is not None:
+            _write_answer(out, found, laid.problem, run.r)
+        typer.echo(json.dumps(answer) if as_json else _lines(answer))
+    raise typer.Exit(0 if verdict["solved"] else 1)
+
+
+def _lines(answer: dict[str, Any]) -> str:
+    solved = (
+        "solved"
+        if answer["solved"]
+        else f"not solved ({answer['reason']}: {answer['detail'] or 'no local failure'})"
+    )
+    return "\n".join(
+        f"{name:<10}{text}"
+        for name, text in (
+            ("status", f"{solved}; {answer['message']}"),
+            ("residual", f"{answer['residual']:.3e} (tolerance {answer['tolerance']:.0e})"),
+            ("Coulomb", f"{answer['coulomb_residual']:.3e}"),
+            ("sweeps", answer["sweeps"]),
+            ("time", f"{1e3 * answer['seconds']:.3g} ms"),
+        )
+    )
+
+
+def _check_output(file: Path, out: Path | None) -> None:
+    """Refuse to write over the problem, or where nothing can be written, before anything is computed."""
+    from fibercontact.bench.protocol import BenchError
+
+    if out is None:
+        return
+    if out.exists() and file.exists() and out.samefile(file):
+        raise BenchError(f"{out}: is the problem itself; give the answer another name")
+    if not out.parent.is_dir():
+        raise BenchError(f"{out}: no such folder")
+
+
+def _write_answer(out: Path, found: "FclibFile", problem: "IncrementalProblem", r: "NDArray[Any]") -> None:
+    """Write the problem with its guesses and the answer in the `solution` group."""
+    from fibercontact.problem.fclib import Solution, write
+    from fibercontact.problem.step import StepProblem
+
+    v = found.problem.velocities(r) if isinstance(found.problem, StepProblem) else None
+    guesses = [Solution(v=g.v if v is not None else None, u=g.u, r=g.r) for g in found.guesses]
+    write(
+        out,
+        found.problem,
+        title=found.title,
+        description=found.description,
+        math_info=found.math_info,
+        guesses=guesses,
+        solution=Solution(v=v, u=problem.W @ r + problem.b, r=r),
+    )

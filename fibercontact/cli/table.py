@@ -1,0 +1,174 @@
+"""`fibercontact table`: the comparison table, regenerated."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fibercontact.bench.protocol import ACCURACIES, DEFAULT_SOLVERS, OUTERS, STARTS
+from fibercontact.cli.errors import check_known, user_errors
+from fibercontact.cli.solvers import Plugins, split_solvers
+
+if TYPE_CHECKING:
+    from fibercontact.bench.report import Report
+    from fibercontact.bench.rows import Row, RowFile
+    from fibercontact.bench.run import Plan
+    from fibercontact.local.registry import Configured
+
+__all__ = ["table"]
+
+
+def table(
+    problems: Annotated[
+        str, typer.Option("--set", metavar="SET", help="core306, or a folder of FCLIB files.")
+    ] = "core306",
+    solvers: Annotated[
+        str | None,
+        typer.Option(metavar="A,B,...", help="Local solvers, `NAME[:option=value,...]`; all by default."),
+    ] = None,
+    plugin: Plugins = None,
+    accuracy: Annotated[
+        list[str] | None,
+        typer.Option(metavar="LEVEL", help=f"Time at this accuracy: {', '.join(ACCURACIES)}; repeatable."),
+    ] = None,
+    rates: Annotated[
+        list[str] | None,
+        typer.Option(metavar="LEVEL", help="Failure rates only at this one, in parallel; repeatable."),
+    ] = None,
+    start: Annotated[str, typer.Option(help="cold (zero) or guess (the file's first).")] = "cold",
+    outer: Annotated[str, typer.Option(help="Gauss–Seidel: plain or accelerated.")] = "plain",
+    repetitions: Annotated[int, typer.Option(help="Timed passes.", min=3)] = 3,
+    jobs: Annotated[int, typer.Option(help="Processes for the rates; 0: one a core.", min=0)] = 0,
+    limit: Annotated[
+        int | None, typer.Option(help="Only so many problems, spread over the set: a trial.", min=1)
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Run folder; runs/SET by default.")
+    ] = None,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Start over; an earlier run is moved aside.")
+    ] = False,
+    max_sweeps: Annotated[int, typer.Option(help="Sweeps a problem at most.", min=1)] = 5000,
+    max_seconds: Annotated[float, typer.Option(help="Seconds a problem at most.", min=0)] = 30.0,
+) -> None:
+    """Replay a set of problems through the local solvers: failure rates, sweeps and times, in one table.
+
+    Times are taken one after the other on one core, at low accuracy by default. Each result is written as it
+    comes: the same command continues a run that was interrupted. The run folder gets the rows, the table
+    (CSV, Markdown, LaTeX), figures by stratum, a performance profile and a plot of failures against time.
+
+    For example:
+
+    fibercontact table --rates mid
+
+    fibercontact table --set my_problems/ --solvers hybrid,secular,pyramid:facets=8
+
+    fibercontact table --plugin my_solver.py --limit 20
+    """
+    with user_errors():
+        check_known("accuracy", [*(accuracy or []), *(rates or [])], list(ACCURACIES))
+        check_known("start", [start], STARTS)
+        check_known("outer loop", [outer], OUTERS)
+        from fibercontact.bench.environment import usable_cores
+        from fibercontact.bench.problem_set import find_set, limited, load_set
+        from fibercontact.bench.protocol import Limits
+        from fibercontact.bench.rows import RowFile, move_away
+        from fibercontact.bench.run import Plan
+
+        folder = find_set(problems)
+        entries = limited(load_set(folder), limit)
+        plan = Plan(
+            entries,
+            _configured(solvers, plugin or []),
+            timed=_ordered(accuracy if accuracy or rates else ["low"]),
+            rates=_ordered([level for level in rates or [] if level not in (accuracy or [])]),
+            start=start,
+            outer=outer,
+            repetitions=repetitions,
+            jobs=jobs or len(usable_cores()),
+            limits=Limits(max_sweeps, max_seconds),
+            plugins=plugin or [],
+        )
+        run_folder = out or Path("runs") / folder.resolve().name
+        if fresh and (moved := move_away(run_folder)):
+            typer.echo(f"the earlier run is in {moved} now")
+        faults = _run(plan, RowFile(run_folder))
+        _finish(plan, RowFile(run_folder), run_folder, faults)
+
+
+def _ordered(levels: Sequence[str] | None) -> list[str]:
+    """Accuracies from low to full, each once."""
+    return [level for level in ACCURACIES if level in (levels or [])]
+
+
+def _configured(solvers: str | None, plugins: Sequence[Path]) -> "list[Configured]":
+    """The solvers asked for, by default all, the talk's first; those of plugins always."""
+    from fibercontact.local.registry import configure, registered
+
+    known = registered(plugins)
+    given = split_solvers(solvers) if solvers is not None else [*DEFAULT_SOLVERS, *known]
+    from_plugins = [name for name in known if known[name].origin in {str(path) for path in plugins}]
+    return [configure(text, known) for text in dict.fromkeys([*given, *from_plugins])]
+
+
+def _run(plan: "Plan", rows: "RowFile") -> list[str]:
+    from fibercontact.bench.run import run
+    from fibercontact.cli.progress import listening
+
+    units = plan.units()
+    try:
+        with listening(units, rows) as listener:
+            return run(plan, rows, listener)
+    except KeyboardInterrupt:
+        typer.echo(f"interrupted; the same command continues from {rows.path}", err=True)
+        raise typer.Exit(130) from None
+
+
+def _finish(plan: "Plan", rows: "RowFile", folder: Path, faults: Sequence[str]) -> None:
+    """Aggregate, print, write; exit code 2 when there were problems that could not be read."""
+    from fibercontact.bench.report import make_report, write_report
+
+    mine = _of_plan(plan, rows.read())
+    if mine:
+        report = make_report(mine, [solver.label for solver in plan.solvers])
+        files = write_report(report, folder)
+        _print(report)
+        typer.echo(f"{folder}: {', '.join(file.name for file in files)}")
+    for fault in faults:
+        typer.echo(f"error: {fault}", err=True)
+    if faults or not mine:
+        raise typer.Exit(2)
+
+
+def _of_plan(plan: "Plan", rows: "Sequence[Row]") -> "list[Row]":
+    """The rows of this plan, with what the manifest says today."""
+    from fibercontact.bench.rows import Key
+
+    entries = {unit.key: unit.entry for unit in plan.units()}
+    found = {key: row for row in rows if (key := Key.of(row)) in entries}
+    return [
+        row | {"existence": entries[key].existence, "scene": entries[key].scene, "problem": entries[key].name}
+        for key, row in found.items()
+    ]
+
+
+def _print(report: "Report") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from fibercontact.bench.report import display
+
+    console = Console(width=None if sys.stdout.isatty() else 200)
+    for view in report.views:
+        cells = display(view).reset_index()
+        grid = Table(title=view.title, title_justify="left")
+        for column in cells.columns:
+            name = column in ("solver", "reasons")
+            grid.add_column(column, justify="left" if name else "right", no_wrap=column == "solver")
+        for line in cells.itertuples(index=False):
+            grid.add_row(*map(str, line))
+        console.print(grid)
+        for note in view.notes:
+            console.print(f"• {note}", markup=False, highlight=False)

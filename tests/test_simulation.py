@@ -1,0 +1,212 @@
+"""The step of a scene, judged by physics; the scenes and the corpus, by their rules."""
+
+import csv
+import math
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from fibercontact.contact.obstacles import Plane
+from fibercontact.problem.fclib import read
+from fibercontact.problem.measure import measure
+from fibercontact.rods.dynamics import energy
+from fibercontact.rods.model import circular_rods, rest_state
+from fibercontact.simulation import corpus
+from fibercontact.simulation.scene import Body, Motion, Scene
+from fibercontact.simulation.scenes import KINDS, SCENES, Parameters, SceneError, build
+from fibercontact.simulation.step import SimulationError, simulate
+
+UP = np.array([0.0, 0.0, 1.0])
+GRAVITY = 9.81
+
+
+def incline(theta, mu, steps=60, dt=2e-3):
+    """A free rod laid along the slope of a plane inclined by theta."""
+    turn = Rotation.from_rotvec([0.0, theta, 0.0]).as_matrix()
+    rods = circular_rods(
+        length=0.1, radius=1e-3, young=1e8, poisson=0.3, density=1000.0, elements=3, free=True
+    )
+    return Scene(
+        name="incline",
+        description="A rod on a slope.",
+        rods=rods,
+        state=rest_state(rods, turn @ [0.0, 0.0, 1e-3], turn),
+        bodies=[Body(np.zeros(3), obstacles=[Plane(np.zeros(3), turn @ UP)])],
+        carrier=np.zeros(1, dtype=np.int64),
+        dt=dt,
+        steps=steps,
+        mu_fibres=0.0,
+        mu_obstacles=mu,
+        segments=6,
+        tolerance=1e-8,
+    )
+
+
+def final_speed(scene):
+    *_, last = simulate(scene)
+    return float(np.linalg.norm(last.world.state.v[0, :3])), last.world.time
+
+
+@pytest.mark.parametrize("mu", [0.1, 0.5, 1.0])
+@pytest.mark.parametrize("share", [0.7, 0.99])
+def test_a_rod_on_an_incline_sticks_below_the_friction_angle(mu, share):
+    speed, time = final_speed(incline(math.atan(share * mu), mu))
+    assert speed < 1e-5 * GRAVITY * time
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.1, 0.5, 1.0])
+@pytest.mark.parametrize("excess", [0.01, 0.3])
+def test_above_the_friction_angle_it_slides_as_coulomb_says(mu, excess):
+    theta = math.atan(mu + excess)
+    speed, time = final_speed(incline(theta, mu))
+    acceleration = GRAVITY * (math.sin(theta) - mu * math.cos(theta))
+    assert speed == pytest.approx(acceleration * time, rel=2e-3)
+
+
+def test_the_incline_carries_the_weight():
+    theta, mu = 0.3, 0.5
+    scene = incline(theta, mu)
+    *_, last = simulate(scene)
+    weight = scene.rods.line_density[0] * scene.rods.length[0] * GRAVITY
+    total = last.world.impulses.sum(axis=0) / scene.dt
+    np.testing.assert_allclose(total, weight * UP, atol=1e-4 * weight)
+
+
+def test_friction_and_contact_do_not_create_energy():
+    """Free fibres fall on a plane: their energy decreases, but for the first-order error of the step."""
+    scene = replace(build(Parameters("plane", 6, "straight", 0.5, 0.5, 3)), steps=120, dt=1e-3)
+    energies = []
+    for step in simulate(scene):
+        e = energy(scene.rods, step.world.state, scene.gravity(0.0))
+        energies.append(float((e.kinetic + e.elastic + e.gravitational).sum()))
+    drop = energies[0] - energies[-1]
+    assert drop > 0
+    assert np.diff(energies).max() < 0.02 * drop
+
+
+def test_roots_follow_the_body_that_carries_them():
+    scene = build("head-curly-96-mu0.6")
+    scene = replace(scene, steps=20)
+    *_, last = simulate(scene)
+    motion_centre = last.world.bodies[0].pivot
+    arms = np.linalg.norm(last.world.state.root_position - motion_centre, axis=1)
+    np.testing.assert_allclose(arms, 0.05, rtol=2e-3)
+    np.testing.assert_allclose(last.world.bodies[0].obstacles[0].point, motion_centre, atol=1e-12)
+    assert np.linalg.norm(motion_centre) > 1e-3
+
+
+def test_a_moving_plane_carries_a_sticking_rod():
+    scene = incline(0.0, 1.0)
+    belt = np.array([0.2, 0.0, 0.0])
+    body = replace(scene.bodies[0], motion=lambda time: Motion(belt, np.zeros(3)))
+    *_, last = simulate(replace(scene, bodies=[body]))
+    np.testing.assert_allclose(last.world.state.v[0, :3], belt, atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("curl", ["straight", "mixed"])
+def test_every_kind_of_scene_runs_and_poses_problems(kind, curl):
+    scene = replace(build(Parameters(kind, 12, curl, 0.3, 0.3, 1)), steps=12)
+    steps = list(simulate(scene))
+    assert len(steps) == 12
+    assert np.isfinite(steps[-1].world.state.v).all()
+    for step in steps:
+        if step.problem is None:
+            assert len(step.contacts.gap) == 0
+            continue
+        assert step.problem.n == len(step.contacts.gap)
+        assert step.problem.d == step.world.state.v.size
+        assert measure(step.problem.condense(), step.run.r).residual == pytest.approx(
+            step.run.residual, rel=1e-6
+        )
+
+
+def test_the_same_scene_gives_the_same_steps():
+    scene = replace(build(Parameters("twist", 12, "wavy", 0.3, 0.3, 1)), steps=15)
+    for one, other in zip(simulate(scene), simulate(scene), strict=True):
+        np.testing.assert_array_equal(one.world.state.q, other.world.state.q)
+        np.testing.assert_array_equal(one.guess, other.guess)
+
+
+def test_the_guess_is_close_when_little_changes():
+    """A rod at rest on a plane: the last step's impulse solves the next step."""
+    scene = incline(0.1, 0.5, steps=40)
+    *_, last = simulate(scene)
+    problem = last.problem.condense()
+    assert measure(problem, last.guess).residual < 1e-3
+    assert measure(problem, np.zeros_like(last.guess)).residual > 0.1
+
+
+def test_a_motion_that_blows_up_is_an_error():
+    scene = incline(0.0, 0.5)
+    state = scene.state._replace(v=np.full_like(scene.state.v, np.inf))
+    with (
+        pytest.raises(SimulationError, match=r"incline: the motion blew up at 0 s"),
+        np.errstate(all="ignore"),
+    ):
+        next(simulate(replace(scene, state=state)))
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ("nowhere", r"unknown scene 'nowhere' \(known: wisp"),
+        (Parameters("sponge", 9, "wavy", 0.3, 0.3, 1), r"unknown kind of scene 'sponge' \(known: wisp"),
+        (Parameters("wisp", 9, "frizzy", 0.3, 0.3, 1), r"unknown curl 'frizzy' \(known: straight"),
+        (Parameters("wisp", 1, "wavy", 0.3, 0.3, 1), "at least 2 fibres"),
+    ],
+)
+def test_scenes_that_are_not(parameters, message):
+    with pytest.raises(SceneError, match=message):
+        build(parameters)
+
+
+def test_the_corpus_has_306_problems_by_its_rule():
+    assert len(SCENES) * corpus.PER_SCENE == 306
+    assert {p.kind for p in SCENES.values()} == set(KINDS)
+    frictions = sorted({p.mu for p in SCENES.values()})
+    assert frictions[0] == 0.0
+    assert frictions[-1] == 1.0
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 17])
+@pytest.mark.parametrize("eligible", [17, 18, 100])
+def test_evenly_spaced_steps(count, eligible):
+    steps = list(range(7, 7 + eligible))
+    chosen = corpus.evenly_spaced(steps, count)
+    assert len(set(chosen)) == count
+    assert chosen == sorted(chosen)
+    assert chosen[0] == steps[0]
+    if count > 1:
+        assert chosen[-1] == steps[-1]
+        gaps = np.diff(chosen)
+        assert gaps.max() - gaps.min() <= 1
+
+
+def test_dumped_problems_are_those_of_the_steps(tmp_path):
+    scene = replace(build(Parameters("wisp", 8, "curly", 0.3, 0.3, 1)), steps=40)
+    rows = corpus.dump_scene(scene, tmp_path, count=3, fewest=5, most=500)
+    corpus.write_manifest(tmp_path, rows)
+    with (tmp_path / "manifest.csv").open() as stream:
+        listed = list(csv.DictReader(stream))
+    assert [row["file"] for row in listed] == sorted(row["file"] for row in listed)
+    by_index = {step.index: step for step in simulate(scene)}
+    for row in listed:
+        found = read(tmp_path / row["file"])
+        step = by_index[int(row["step"])]
+        assert found.problem.condense().content_hash() == step.problem.condense().content_hash()
+        np.testing.assert_array_equal(found.guesses[0].r, step.guess)
+        assert int(row["contacts"]) == found.problem.n == step.problem.n
+
+
+def test_too_few_eligible_steps_is_an_error(tmp_path):
+    scene = replace(build("wisp-straight-19-mu0.3"), steps=3)
+    with pytest.raises(SceneError, match=r"wisp-straight-19-mu0.3: only \d eligible steps, 17 are needed"):
+        corpus.dump_scene(scene, tmp_path)
+
+
+def test_steps_come_one_by_one():
+    assert len(list(islice(simulate(build("wisp-straight-19-mu0.3")), 2))) == 2
