@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 import fibercontact
-from fibercontact.cli import info, simulate, solve, solvers, table
+from fibercontact.cli import info, simulate, solve, solvers, table, validate
 
 __all__ = ["app", "main"]
 
@@ -25,6 +25,7 @@ app.command("info")(info.info)
 app.command("solvers")(solvers.solvers)
 app.command("simulate")(simulate.simulate)
 app.command("dump")(simulate.dump)
+app.command("validate")(validate.validate)
 
 
 def _version(asked: bool) -> None:
@@ -41,8 +42,9 @@ def _options(
 ) -> None:
     """Compare local solvers of frictional contact on problems from thin elastic rods.
 
-    Start with `fibercontact table`, which regenerates the comparison table; `fibercontact COMMAND --help`
-    explains a command.
+    Start with `fibercontact table`, which regenerates the comparison table.
+
+    `fibercontact COMMAND --help` explains a command.
     """
 
 

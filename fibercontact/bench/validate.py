@@ -1,0 +1,368 @@
+"""Answers of the solvers compared with references: by residual, by velocities, by regime, by friction's work.
+
+Impulses are not unique and never compared. Velocities mostly are, and are compared in the norm of kinetic energy,
+`‖v − v_ref‖_M = ‖r − r_ref‖_W`, which needs no `M`; the error is relative to `‖v_ref‖_M`, or, where `M` is not known,
+to `‖r_ref‖_W`, the velocity that the contacts give. A large error beside a small residual means an ill-conditioned
+problem, or another solution: Coulomb's law may have several.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+import fibercontact
+from fibercontact.bench.figures import COLOURS, MARKERS, save
+from fibercontact.bench.passes import gauss_seidel, judge, lay_out, options_text
+from fibercontact.bench.problem_set import Entry
+from fibercontact.bench.protocol import ACCURACIES, Limits
+from fibercontact.bench.report import number
+from fibercontact.bench.rows import Row, RowFile
+from fibercontact.jit import content_key
+from fibercontact.local.registry import Configured
+from fibercontact.problem.fclib import read
+from fibercontact.problem.incremental import IncrementalProblem
+from fibercontact.problem.measure import measure, relative
+from fibercontact.problem.step import StepProblem
+from fibercontact.reference.conic import Problem, associated, condensed
+from fibercontact.reference.store import stored_reference
+from fibercontact.reference.truth import NONE, Reference
+
+__all__ = [
+    "ASSOCIATED",
+    "OPEN",
+    "SLIP",
+    "STICK",
+    "Comparison",
+    "Contender",
+    "Listener",
+    "associated_model",
+    "compare",
+    "contender",
+    "draw_errors",
+    "friction_work",
+    "notes",
+    "reference_table",
+    "regimes",
+    "solver_table",
+    "validate",
+    "velocity_error",
+    "write_report",
+]
+
+Array = NDArray[np.float64]
+
+ASSOCIATED = "associated"
+"""Name of the convex model `s = 0` among the solvers."""
+
+ACCURATE = ("Solved", "AlmostSolved")  # statuses of Clarabel that are good for any accuracy of the protocol
+OPEN, STICK, SLIP = 0, 1, 2
+RESOLUTION = 1e-3  # share of b_ref below which a speed does not make a regime
+TINY = 1e-16  # what a zero is drawn as
+
+
+class Listener(Protocol):
+    """Who is told how a validation goes."""
+
+    def now(self, problem: str, what: str) -> None:
+        """Something is about to be computed."""
+
+    def done(self, problem: str) -> None:
+        """A problem has all its rows."""
+
+    def note(self, text: str) -> None:
+        """Something must be said."""
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A solver to be judged: its name, what it is made of, and its answer with what it says of it."""
+
+    name: str
+    identity: str
+    solve: Callable[[Problem], tuple[Array, Row]]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The rows, one a problem and solver, and the references they are compared with, one a problem."""
+
+    rows: list[Row]
+    references: list[Row]
+    skipped: list[str]
+
+
+def contender(local: Configured, accuracy: str) -> Contender:
+    """Gauss–Seidel over a local solver, stopped at an accuracy of the protocol for its own law."""
+    loop = gauss_seidel(local, ACCURACIES[accuracy], "plain", Limits())
+
+    def solve(problem: Problem) -> tuple[Array, Row]:
+        laid = lay_out(problem)
+        run = loop.solve_system(laid.system, laid.problem.b_ref)
+        measured = measure(laid.problem, run.r, local.facets)
+        law = f"{local.facets} facets" if local.facets else "Coulomb"
+        verdict = judge(run, measured, loop.tolerance)
+        return run.r, {"law": law, "residual": measured.residual, "sweeps": run.sweeps, **verdict}
+
+    identity = f"{accuracy} {local.registered.fingerprint} {options_text(local)}"
+    return Contender(local.label, identity, solve)
+
+
+def associated_model() -> Contender:
+    """The convex model `s = 0`: exact for its own law, which is not Coulomb's."""
+
+    def solve(problem: Problem) -> tuple[Array, Row]:
+        answer = associated(problem)
+        return answer.r, {"law": ASSOCIATED, "solved": answer.status in ACCURATE, "outcome": answer.status}
+
+    return Contender(ASSOCIATED, "", solve)
+
+
+def validate(
+    entries: Sequence[Entry],
+    contenders: Sequence[Contender],
+    folder: Path,
+    listener: Listener,
+    *,
+    bar: float = 1e-10,
+    max_seconds: float = 60.0,
+    max_contacts: int = 300,
+) -> Comparison:
+    """Compare contenders with references on the problems of up to `max_contacts` contacts.
+
+    References go to `folder/references`, rows to `folder/rows.jsonl`, each as it comes; what is there already
+    is not computed again. `bar` and `max_seconds` are those of `reference`. Raises `ProblemError` on a file
+    that cannot be read, `BenchError` while another run writes to the folder.
+    """
+    file, result = RowFile(folder), Comparison([], [], [])
+    known = {_key(row): row for row in file.read()}
+    with file.appending():
+        for entry in entries:
+            problem = read(entry.file).problem
+            if problem.n > max_contacts:
+                result.skipped.append(
+                    f"{entry.name}: skipped, {problem.n} contacts are more than {max_contacts}"
+                )
+                listener.note(result.skipped[-1])
+            else:
+                listener.now(entry.name, "reference")
+                path = folder / "references" / f"{entry.hash}.hdf5"
+                truth = stored_reference(path, problem, bar, max_seconds)
+                result.references.append(_reference_row(entry, problem, truth))
+                for one in contenders:
+                    listener.now(entry.name, one.name)
+                    head = _head(entry, one, truth)
+                    row = known.get(_key(head))
+                    if row is None:
+                        row = head | _compared(problem, one, truth)
+                        file.append(row)
+                    result.rows.append(row)
+            listener.done(entry.name)
+    return result
+
+
+def _head(entry: Entry, one: Contender, truth: Reference) -> Row:
+    """What identifies a row."""
+    return {
+        "problem_hash": entry.hash,
+        "solver": one.name,
+        "identity": f"{_code()} {one.identity}",
+        "reference": truth.method,
+        "reference_residual": truth.residual,
+        "problem": entry.name,
+        "scene": entry.scene,
+    }
+
+
+def _key(row: Row) -> tuple[Any, ...]:
+    names = ("problem_hash", "solver", "identity", "reference", "reference_residual", "problem")
+    return tuple(row.get(name) for name in names)
+
+
+def _code() -> str:
+    """Key of the sources that decide the numbers, the local solvers aside."""
+    package = Path(fibercontact.__file__).parent
+    rooms = [package / room for room in ("problem", "gauss_seidel", "reference")]
+    return content_key([*(file for room in rooms for file in room.rglob("*.py")), Path(__file__)])
+
+
+def _reference_row(entry: Entry, problem: Problem, truth: Reference) -> Row:
+    return {
+        "problem": entry.name,
+        "contacts": problem.n,
+        "reference": truth.method,
+        "residual": truth.residual,
+        "seconds": sum(attempt.seconds for attempt in truth.attempts),
+    }
+
+
+def _compared(problem: Problem, one: Contender, truth: Reference) -> Row:
+    """The answer of a contender, measured; compared with the reference if there is one."""
+    r, account = one.solve(problem)
+    incremental = condensed(problem)
+    found = measure(incremental, r)
+    row = {"contacts": problem.n, **account, "coulomb": found.coulomb, "created_power": found.created_power}
+    if truth.accepted and np.isfinite(r).all():
+        row |= compare(problem, incremental, r, truth.r)
+    return row
+
+
+def compare(problem: Problem, incremental: IncrementalProblem, r: Array, r_ref: Array) -> Row:
+    """Compare finite impulses `r` (3n,) with those of a reference, in what is physical."""
+    u, u_ref = incremental.W @ r + incremental.b, incremental.W @ r_ref + incremental.b
+    same = regimes(incremental, u) == regimes(incremental, u_ref)
+    work, work_ref = friction_work(u, r), friction_work(u_ref, r_ref)
+    return {
+        "velocity_error": velocity_error(problem, incremental, r, r_ref),
+        "same_regime": float(same.mean()) if len(same) else 1.0,
+        "friction_work": work,
+        "reference_friction_work": work_ref,
+        "friction_work_error": relative(abs(work - work_ref), work_ref),
+    }
+
+
+def velocity_error(problem: Problem, incremental: IncrementalProblem, r: Array, r_ref: Array) -> float:
+    """Distance of the velocities of `r` (3n,) from those of `r_ref` (3n,), see the module's docstring.
+
+    Relative; absolute, in the square root of a joule, when the reference is at rest.
+    """
+    if isinstance(problem, StepProblem):
+        v, v_ref = problem.velocities(r), problem.velocities(r_ref)
+        return relative(_norm(problem.M, v - v_ref), _norm(problem.M, v_ref))
+    return relative(_norm(incremental.W, r - r_ref), _norm(incremental.W, r_ref))
+
+
+def _norm(A: Any, x: Array) -> float:
+    """`‖x‖_A`; rounding may make the square of a zero negative."""
+    return math.sqrt(max(float(x @ (A @ x)), 0.0))
+
+
+def regimes(problem: IncrementalProblem, u: Array) -> NDArray[np.int64]:
+    """Regime (n,) of each contact from its velocity alone: impulses, not being unique, do not tell.
+
+    Speeds below `RESOLUTION b_ref` count as none: take-off if `u_N` is above, slip if only `‖u_T‖` is.
+    """
+    u, least = u.reshape(-1, 3), RESOLUTION * (problem.b_ref or 1.0)
+    slides = np.where(np.hypot(u[:, 1], u[:, 2]) > least, SLIP, STICK)
+    return np.where(u[:, 0] > least, OPEN, slides)
+
+
+def friction_work(u: Array, r: Array) -> float:
+    """Energy in J that friction dissipates, `Σ max(−u_T·r_T, 0)`: what it creates is measured apart."""
+    power = -np.einsum("ij,ij->i", u.reshape(-1, 3)[:, 1:], r.reshape(-1, 3)[:, 1:])
+    return float(np.maximum(power, 0.0).sum())
+
+
+SOLVER_COLUMNS = [
+    "solver",
+    "law",
+    "solved",
+    "Coulomb residual: median / largest",
+    "velocity error: median / 9 of 10 below / largest",
+    "same regime (%)",
+    "work of friction off by (median)",
+]
+
+
+def solver_table(comparison: Comparison) -> pd.DataFrame:
+    """One line a solver, in text; velocities, regimes and work over the problems that have a reference."""
+    by_solver = _frame(comparison).groupby("solver", sort=False)
+    lines = [_solver_line(str(name), rows) for name, rows in by_solver]
+    return pd.DataFrame(lines, columns=SOLVER_COLUMNS)
+
+
+def _solver_line(name: str, rows: pd.DataFrame) -> list[str]:
+    coulomb, error = rows["coulomb"], rows["velocity_error"]
+    return [
+        name,
+        rows["law"].iloc[0],
+        f"{rows['solved'].sum():.0f}/{len(rows)}",
+        _numbers(coulomb.median(), coulomb.max()),
+        _numbers(error.median(), error.quantile(0.9), error.max()),
+        _numbers(100.0 * rows["same_regime"].mean()),
+        _numbers(rows["friction_work_error"].median()),
+    ]
+
+
+def _numbers(*values: Any) -> str:
+    return " / ".join(number(float(value)) for value in values)
+
+
+def reference_table(comparison: Comparison) -> pd.DataFrame:
+    """One line a problem, in text: its reference, `none` where there is none."""
+    lines = [
+        [
+            row["problem"],
+            str(row["contacts"]),
+            row["reference"],
+            number(row["residual"]),
+            number(row["seconds"]),
+        ]
+        for row in comparison.references
+    ]
+    return pd.DataFrame(lines, columns=["problem", "contacts", "reference", "residual", "seconds"])
+
+
+def _frame(comparison: Comparison) -> pd.DataFrame:
+    """Tidy rows; what is not known is NaN."""
+    frame = pd.DataFrame(list(comparison.rows))
+    for name in ("coulomb", "velocity_error", "same_regime", "friction_work_error", "solved"):
+        frame[name] = pd.to_numeric(frame[name]) if name in frame else np.nan
+    return frame
+
+
+def notes(comparison: Comparison) -> list[str]:
+    """What must be said beside the tables."""
+    without = [row["problem"] for row in comparison.references if row["reference"] == NONE]
+    found = len(comparison.references) - len(without)
+    said = [
+        f"{found} of {len(comparison.references)} problems have a reference; velocity error, regime and work "
+        "are over these",
+        "velocity error: kinetic-energy norm of the difference, relative to the reference",
+    ]
+    if without:
+        said.append(f"no reference ({NONE}): {', '.join(without)}")
+    return [*said, *comparison.skipped]
+
+
+def write_report(comparison: Comparison, folder: Path) -> list[Path]:
+    """Write rows (CSV), both tables (Markdown) and the figure (SVG, PNG); returns the files."""
+    _frame(comparison).to_csv(folder / "rows.csv", index=False)
+    tables = [_markdown(solver_table(comparison)), _markdown(reference_table(comparison))]
+    remarks = "".join(f"* {note}\n" for note in notes(comparison))
+    (folder / "validation.md").write_text("\n".join([tables[0], remarks, tables[1]]), encoding="utf-8")
+    save(draw_errors(_frame(comparison)), folder, "velocity_error")
+    names = ("rows.csv", "validation.md", "velocity_error.svg", "velocity_error.png")
+    return [folder / name for name in names]
+
+
+def _markdown(table: pd.DataFrame) -> str:
+    lines: list[Any] = [table.columns, ["---"] * table.shape[1], *table.itertuples(index=False)]
+    return "".join("| " + " | ".join(map(str, line)) + " |\n" for line in lines)
+
+
+def draw_errors(rows: pd.DataFrame) -> Figure:
+    """Velocity error against Coulomb residual, a marker a problem and solver; zeros are drawn at 1e-16."""
+    figure = Figure(figsize=(7.5, 5.0), layout="constrained")
+    axes = figure.add_subplot()
+    for k, (solver, mine) in enumerate(rows.dropna(subset="velocity_error").groupby("solver", sort=False)):
+        axes.plot(
+            np.maximum(mine["coulomb"], TINY),
+            np.maximum(mine["velocity_error"], TINY),
+            MARKERS[(k + k // len(COLOURS)) % len(MARKERS)],
+            color=COLOURS[k % len(COLOURS)],
+            markersize=5,
+            markerfacecolor="none",
+            label=solver,
+        )
+    axes.set(xscale="log", yscale="log", xlabel="Coulomb residual", ylabel="relative velocity error")
+    axes.grid(which="major", color="0.9")
+    if axes.has_data():
+        axes.legend(fontsize=9)
+    return figure

@@ -1,0 +1,1 @@
+"""Ground truth: the convex problem of a fixed slip term, Cadoux's fixed point, accepted references."""

@@ -1,0 +1,158 @@
+"""The convex problem of a fixed slip term `s`, solved by Clarabel as a second-order cone programme (THEORY §5).
+
+    in impulses    min ½ rᵀW r + (b + mu s e)ᵀr    s.t. r ∈ K_mu
+    in velocities  min ½ vᵀM v + fᵀv               s.t. H v + w + mu s e ∈ K_mu*
+
+are dual to each other; `s = 0` is the *associated* model, a law of its own and not Coulomb's. Two scalings
+come first, or Clarabel stops early: velocities are divided by `beta`, and with `S = diag(1, mu, mu) / sqrt(sigma)`
+a contact, `r = beta S z` and `S ũ / beta` lie in the Lorentz cone, where `mu = 0` needs no care.
+
+References: [Cadoux 2009]; [Acary, Cadoux, Lemaréchal & Malick 2011] ZAMM 91.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import clarabel
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csc_array, csc_matrix, diags_array, eye_array, triu
+
+from fibercontact.problem.incremental import IncrementalProblem
+from fibercontact.problem.step import StepProblem
+
+__all__ = [
+    "ConvexAnswer",
+    "ConvexModel",
+    "Form",
+    "Problem",
+    "associated",
+    "condensed",
+    "default_form",
+    "impulse_form",
+    "solve_convex",
+    "velocity_form",
+]
+
+Array = NDArray[np.float64]
+Problem = IncrementalProblem | StepProblem
+
+
+class Program(NamedTuple):
+    """`min ½ xᵀP x + (q + g)ᵀx  s.t. A x + h + g' ∈ Lorentz cones`; the slip term enters as `g` or as `g'`."""
+
+    P: csc_array
+    q: Array
+    A: csc_array
+    h: Array
+    impulse: bool  # True: x is z and the slip term is g; False: z is the multiplier and the slip term is g'
+
+
+@dataclass(frozen=True)
+class ConvexAnswer:
+    """Impulses `r` (3n,) in N·s, Clarabel's status, and the duality gap in J."""
+
+    r: Array
+    status: str
+    gap: float
+
+
+def condensed(problem: Problem) -> IncrementalProblem:
+    """The problem in impulses."""
+    return problem.condense() if isinstance(problem, StepProblem) else problem
+
+
+class ConvexModel:
+    """The convex problem laid out for one slip term after the other: only a vector changes between them.
+
+    Built by `velocity_form` or `impulse_form`. `S` (3n,) and `beta` are the scaling of the module's docstring.
+    """
+
+    def __init__(self, program: Program, mu: Array, S: Array, beta: float) -> None:
+        self.program, self.mu, self.S, self.beta = program, mu, S, beta
+        self.solver: Any = None
+
+    def solve(self, s: Array, max_seconds: float = math.inf) -> ConvexAnswer:
+        """Solve for the slip term `s` (n,) >= 0 in m/s. Impulses of a failed solve may be bad or not finite."""
+        slip = np.zeros_like(self.S)
+        slip[::3] = self.mu * s * self.S[::3] / self.beta
+        p = self.program
+        q, h = (p.q + slip, p.h) if p.impulse else (p.q, p.h + slip)
+        if self.solver is None:
+            cones = [clarabel.SecondOrderConeT(3)] * len(self.mu)
+            P, A = csc_matrix(triu(p.P)), csc_matrix(-p.A)
+            self.solver = clarabel.DefaultSolver(P, q, A, h, cones, _settings(max_seconds))
+        else:
+            self.solver.update(q=q, b=h, settings=_settings(max_seconds))
+        found = self.solver.solve()
+        z = np.array(found.x if p.impulse else found.z)
+        gap = self.beta**2 * abs(found.obj_val - found.obj_val_dual)
+        return ConvexAnswer(self.beta * self.S * z, str(found.status), gap)
+
+
+Form = Callable[[Problem], ConvexModel]
+
+
+def velocity_form(problem: Problem) -> ConvexModel:
+    """The problem in velocities, sparse as `M` and `H` are; raises `TypeError` when they are not at hand."""
+    if not isinstance(problem, StepProblem):
+        raise TypeError(
+            "the velocity form needs a StepProblem: an IncrementalProblem does not know its velocities"
+        )
+    S, beta = _scaling(problem.condense())
+    to_unit_mass = problem.M.diagonal() ** -0.5
+    scale, rows = diags_array(to_unit_mass), diags_array(S)
+    P, A = scale @ problem.M @ scale, rows @ problem.H @ scale
+    q, h = to_unit_mass * problem.f / beta, S * problem.w / beta
+    return ConvexModel(Program(P.tocsc(), q, A.tocsc(), h, False), problem.mu, S, beta)
+
+
+def impulse_form(problem: Problem) -> ConvexModel:
+    """The problem in impulses; `W` may be rank deficient."""
+    incremental = condensed(problem)
+    S, beta = _scaling(incremental)
+    P = diags_array(S) @ incremental.W.tocsr() @ diags_array(S)
+    program = Program(
+        P.tocsc(), S * incremental.b / beta, eye_array(len(S), format="csc"), np.zeros(len(S)), True
+    )
+    return ConvexModel(program, incremental.mu, S, beta)
+
+
+def default_form(problem: Problem) -> ConvexModel:
+    """In velocities where they are known, in impulses otherwise."""
+    return velocity_form(problem) if isinstance(problem, StepProblem) else impulse_form(problem)
+
+
+def solve_convex(problem: Problem, s: Array, form: Form = default_form) -> ConvexAnswer:
+    """Solve the convex problem of the slip term `s` (n,) >= 0, in m/s.
+
+    Raises `ValueError` on a slip term of the wrong shape, negative or not finite.
+    """
+    if s.shape != (problem.n,) or not (np.isfinite(s) & (s >= 0)).all():
+        raise ValueError(f"s must be {problem.n} finite numbers >= 0")
+    return form(problem).solve(s)
+
+
+def associated(problem: Problem, form: Form = default_form) -> ConvexAnswer:
+    """Solve the associated (convexified) model, `s = 0`: `K_mu* ∋ u ⟂ r ∈ K_mu`, which is not Coulomb's law."""
+    return solve_convex(problem, np.zeros(problem.n), form)
+
+
+def _scaling(problem: IncrementalProblem) -> tuple[Array, float]:
+    """`S` (3n,) and `beta`: unit `sigma` at every contact and unit `b_ref`."""
+    to_unit_sigma = np.repeat(problem.sigma**-0.5, 3)
+    beta = np.linalg.norm(to_unit_sigma * problem.b) / math.sqrt(max(problem.n, 1))
+    friction = np.column_stack([np.ones(problem.n), problem.mu, problem.mu]).ravel()
+    return to_unit_sigma * friction, float(beta) or 1.0
+
+
+def _settings(max_seconds: float) -> Any:
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.presolve_enable = False  # it forbids updates
+    settings.max_threads = 1
+    settings.time_limit = max_seconds
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
+    return settings

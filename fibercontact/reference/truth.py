@@ -1,0 +1,127 @@
+"""References: answers accurate enough to judge others by, accepted by their residual alone (THEORY §5).
+
+Clarabel floors at residuals of 1e-6 to 1e-9, so every candidate is finished by accelerated proximal sweeps with the
+`secular` local solver. Candidates, in order, until one is accepted:
+
+1. `no impulse`, `r = 0`: free.
+2. `Cadoux` (in velocities where they are known) and sweeps: independent of the solvers that references judge, one or
+   two seconds for 250 contacts, and on hair-like problems it starts the sweeps where hundreds of them converge;
+   from zero they stall on some at 1e-5.
+3. `sweeps` from zero: some problems on which Cadoux's loop stalls.
+4. `Cadoux in impulses` and sweeps, where 2. was in velocities: up to ten times slower, but on nearly infeasible
+   problems the first slip terms spoil the velocity form only.
+
+`none` is an answer too: then the best candidate is kept with its residual, and is not the truth.
+"""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fibercontact.gauss_seidel.anderson import Acceleration
+from fibercontact.gauss_seidel.solver import GaussSeidel
+from fibercontact.local.registry import configure, registered
+from fibercontact.problem.incremental import IncrementalProblem
+from fibercontact.problem.measure import measure
+from fibercontact.problem.step import StepProblem
+from fibercontact.reference.cadoux import Cadoux
+from fibercontact.reference.conic import Form, Problem, condensed, default_form, impulse_form
+
+__all__ = ["NONE", "Attempt", "Reference", "polish", "reference"]
+
+Array = NDArray[np.float64]
+
+NONE = "none"
+MARGIN = 0.01  # share of the bar that candidates aim at
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """A candidate: how it was found, its residual of Coulomb's law, seconds, and what happened."""
+
+    method: str
+    residual: float
+    seconds: float
+    note: str
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Impulses `r` (3n,) in N·s with their residual; the truth only when `accepted`.
+
+    `r` is not unique: compare velocities. They may not be unique either, and then this is one of the solutions.
+    """
+
+    r: Array
+    residual: float
+    method: str
+    """The candidate that was accepted, or `none`."""
+    attempts: tuple[Attempt, ...]
+
+    @property
+    def accepted(self) -> bool:
+        """Whether this is the truth."""
+        return self.method != NONE
+
+
+def reference(problem: Problem, bar: float = 1e-10, max_seconds: float = 60.0) -> Reference:
+    """Find a reference whose residual is at most `bar`, `none` if `max_seconds` or so do not suffice.
+
+    Raises `ProblemError` if the `M` of a step is not positive definite.
+    """
+    incremental = condensed(problem)
+    polish(incremental, None, np.inf, 0.0)  # compiles: before the clock starts
+    best, least, attempts = np.zeros(3 * problem.n), np.inf, []
+    began = time.perf_counter()
+    for method, r, note in _candidates(problem, incremental, MARGIN * bar, max_seconds):
+        residual, now = measure(incremental, r).coulomb, time.perf_counter()
+        attempts.append(Attempt(method, residual, now - began, note))
+        began = now
+        if residual < least:
+            best, least = r, residual
+        if residual <= bar:
+            return Reference(r, residual, method, tuple(attempts))
+    return Reference(best, least, NONE, tuple(attempts))
+
+
+def polish(
+    problem: IncrementalProblem, start: Array | None, tolerance: float, max_seconds: float
+) -> tuple[Array, str]:
+    """Accelerated proximal sweeps from `start` (3n,), zero by default: the best impulses, and a note."""
+    loop = GaussSeidel(
+        configure("secular", registered()),
+        tolerance,
+        max_sweeps=10**9,
+        max_seconds=max_seconds,
+        proximal=0.1,
+        acceleration=Acceleration(sweeps=10, window=20),
+    )
+    run = loop.solve(problem, start)
+    return run.r, f"{run.sweeps} sweeps, {run.outcome.sentence}"
+
+
+def _candidates(
+    problem: Problem, incremental: IncrementalProblem, target: float, max_seconds: float
+) -> Iterator[tuple[str, Array, str]]:
+    """Candidates with their names and notes, computed one at a time as they are asked for."""
+    in_velocities = isinstance(problem, StepProblem)
+    share = max_seconds / (5 if in_velocities else 3)
+    yield "no impulse", np.zeros(3 * problem.n), ""
+    yield "Cadoux", *_polished_cadoux(problem, incremental, default_form, target, share)
+    yield "sweeps", *polish(incremental, None, target, share)
+    if in_velocities:
+        yield "Cadoux in impulses", *_polished_cadoux(problem, incremental, impulse_form, target, share)
+
+
+def _polished_cadoux(
+    problem: Problem, incremental: IncrementalProblem, form: Form, target: float, share: float
+) -> tuple[Array, str]:
+    run = Cadoux(form, target, max_seconds=share).solve(problem)
+    r, note = polish(incremental, run.r, target, share)
+    return (
+        r,
+        f"{run.residual:.1e} after {run.iterations} iterations ({run.stage}), {note}",
+    )
