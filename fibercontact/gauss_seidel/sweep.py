@@ -126,12 +126,13 @@ def local_residual(W: Matrix, b: Vector, mu: float, sigma: float, r: Vector, fac
 
 @jit
 def tempered(W: Matrix, b: Vector, mu: float, sigma: float, old: Vector, new: Vector, facets: int) -> Vector:
-    """What a failed local answer is worth: whole if it is better than the old impulse, else half-way to it."""
-    if local_residual(W, b, mu, sigma, new, facets) < local_residual(W, b, mu, sigma, old, facets):
+    """What a failed local answer is worth: whole if better than the old impulse, half-way there if only finite."""
+    size = local_residual(W, b, mu, sigma, new, facets)
+    if size < local_residual(W, b, mu, sigma, old, facets):
         return new
-    middle = (0.5 * (old[0] + new[0]), 0.5 * (old[1] + new[1]), 0.5 * (old[2] + new[2]))
-    if not math.isfinite(middle[0] + middle[1] + middle[2]):
+    if not math.isfinite(size):
         return old
+    middle = (0.5 * (old[0] + new[0]), 0.5 * (old[1] + new[1]), 0.5 * (old[2] + new[2]))
     return project(middle, mu, facets)
 
 

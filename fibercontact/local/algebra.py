@@ -8,6 +8,7 @@ from fibercontact.local.contract import Matrix
 from fibercontact.problem.cone import COULOMB, Vector, natural_map, norm
 
 __all__ = [
+    "LARGEST",
     "OPEN",
     "SHIFT",
     "SLIP",
@@ -24,6 +25,9 @@ __all__ = [
 ]
 
 OPEN, STICK, SLIP = 0, 1, 2
+
+LARGEST = 1e9
+"""Impulse, relative to b in velocity units, above which rounding makes a residual meaningless."""
 
 SINGULAR = 1e-10
 """Ratio of the least eigenvalue of `W_TT - w wᵀ/W_NN` to `tr(W_TT)` below which it counts as singular."""
@@ -69,8 +73,10 @@ def is_finite(W: Matrix, b: Vector, mu: float) -> bool:
 
 @jit
 def law_residual(W: Matrix, b: Vector, mu: float, r: Vector) -> float:
-    """Norm of the natural map of Coulomb's law at `r`, in the unit of `b`."""
+    """Norm of the natural map of Coulomb's law at `r`, in the unit of `b`; infinite for impulses too large."""
     sigma = (W[0][0] + W[1][1] + W[2][2]) / 3.0
+    if sigma * norm(r) > LARGEST * norm(b):
+        return math.inf
     return norm(natural_map(affine(W, r, b), r, mu, sigma, COULOMB))
 
 

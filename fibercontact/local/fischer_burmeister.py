@@ -36,6 +36,8 @@ def modified_fischer_burmeister(c: Contact, r: Vector) -> tuple[Vector, Matrix]:
     x = (mu * r[0], r[1], r[2])
     y = (u[0] + mu * speed, mu * u[1], mu * u[2])
     head = x[0] * x[0] + x[1] * x[1] + x[2] * x[2] + y[0] * y[0] + y[1] * y[1] + y[2] * y[2]
+    if head == 0.0:  # the corner of the function: any element of its generalised Jacobian
+        return (0.0, 0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     v1, v2 = 2.0 * (x[0] * x[1] + y[0] * y[1]), 2.0 * (x[0] * x[2] + y[0] * y[2])
     tail = math.sqrt(v1 * v1 + v2 * v2)
     low, high = math.sqrt(max(head - tail, BOUNDARY * head)), math.sqrt(head + tail)

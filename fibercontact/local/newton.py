@@ -4,7 +4,7 @@ import math
 from typing import Any, NamedTuple
 
 from fibercontact.jit import jit, jit_inline
-from fibercontact.local.algebra import is_finite, solve3
+from fibercontact.local.algebra import LARGEST, is_finite, solve3
 from fibercontact.local.contract import Matrix, Option, Status
 from fibercontact.problem.cone import Vector, norm
 
@@ -17,8 +17,6 @@ NEWTON_OPTIONS = {
 
 ARMIJO = 1e-4
 SHORTEST_STEP = 2.0**-20
-LARGEST = 1e9
-"""Impulse, relative to b in velocity units, above which rounding makes the function's value meaningless."""
 
 
 class Contact(NamedTuple):
@@ -27,10 +25,12 @@ class Contact(NamedTuple):
     W: Matrix
     b: Vector
     mu: float
+    rho: float = 1.0  # steps of the Alart–Curnier function, times 1/W_NN and 1/lambda_max(W_TT)
+    disc: float = 0.0  # its friction disc: 0 for the radius mu max(0, r_N - rho_N u_N), 1 for mu max(0, r_N)
 
 
 @jit
-def scaled(W: Matrix, b: Vector, mu: float) -> tuple[Contact, float]:
+def scaled(W: Matrix, b: Vector, mu: float, rho: float, disc: float) -> tuple[Contact, float]:
     """The contact in velocity units, and sigma: impulses are multiplied by it."""
     sigma = (W[0][0] + W[1][1] + W[2][2]) / 3.0
     s = 1.0 / sigma
@@ -42,6 +42,8 @@ def scaled(W: Matrix, b: Vector, mu: float) -> tuple[Contact, float]:
         ),
         b,
         mu,
+        rho,
+        disc,
     ), sigma
 
 
@@ -53,7 +55,16 @@ def step_along(r: Vector, d: Vector, t: float) -> Vector:
 
 @jit_inline
 def newton(
-    function: Any, W: Matrix, b: Vector, mu: float, r: Vector, tolerance: float, budget: int, damped: bool
+    function: Any,
+    W: Matrix,
+    b: Vector,
+    mu: float,
+    r: Vector,
+    tolerance: float,
+    budget: int,
+    damped: bool,
+    rho: float,
+    disc: float,
 ) -> tuple[int, Vector, int]:
     """Find a zero of `function(contact, r) -> (f, J)` from `r`, by full steps or with a line search on `½|f|²`.
 
@@ -61,7 +72,7 @@ def newton(
     """
     if not is_finite(W, b, mu):
         return Status.NOT_FINITE, r, 0
-    contact, sigma = scaled(W, b, mu)
+    contact, sigma = scaled(W, b, mu, rho, disc)
     threshold = tolerance * norm(b)
     x = (sigma * r[0], sigma * r[1], sigma * r[2])
     f, J = function(contact, x)

@@ -152,9 +152,12 @@ def _plugin(path: Path) -> Registered:
         raise SolverError(f"{path}: no such file")
     name = path.stem.replace("_", "-")
     try:
-        fingerprint = content_key(_with_neighbours(path))
+        files = _with_neighbours(path)
+        fingerprint = content_key(files)
         identifier = f"fibercontact_plugin_{path.stem}_{fingerprint}"
         if identifier not in sys.modules:
+            for stem in {file.stem for file in files[1:]} - sys.stdlib_module_names:
+                sys.modules.pop(stem, None)  # another plugin's, or this one's before an edit
             _load(path, identifier, fingerprint)
     except SolverError:
         raise
@@ -204,8 +207,8 @@ def _own_cache(fingerprint: str) -> Iterator[None]:
 
 @contextmanager
 def _importable(folder: Path) -> Iterator[None]:
-    """Let a plugin import the modules beside it, read from their sources and shared with no other plugin."""
-    before, writes = set(sys.modules), sys.dont_write_bytecode
+    """Let a plugin import the modules beside it, compiled from their sources as they are."""
+    writes = sys.dont_write_bytecode
     sys.path.insert(0, str(folder))
     sys.dont_write_bytecode = True  # its check of the time of an edit is too coarse
     try:
@@ -213,6 +216,3 @@ def _importable(folder: Path) -> Iterator[None]:
     finally:
         sys.dont_write_bytecode = writes
         sys.path.remove(str(folder))
-        for name in set(sys.modules) - before:
-            if Path(getattr(sys.modules[name], "__file__", None) or "").parent == folder:
-                del sys.modules[name]

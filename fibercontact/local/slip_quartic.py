@@ -98,6 +98,8 @@ def closed_roots(c: Quartic) -> tuple[bool, Roots]:
 def companion_roots(c: Quartic) -> tuple[bool, Roots]:
     """Roots of the quartic as eigenvalues of its companion matrix; False when it has none."""
     zero = complex(0.0, 0.0)
+    if c[0] == 0.0:
+        return False, (zero, zero, zero, zero)
     b3, b2, b1, b0 = c[1] / c[0], c[2] / c[0], c[3] / c[0], c[4] / c[0]
     if not math.isfinite(b3 + b2 + b1 + b0):
         return False, (zero, zero, zero, zero)

@@ -7,7 +7,6 @@ included. Eighteen scenes give 306 problems.
 
 import csv
 import hashlib
-import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -90,7 +89,7 @@ def write_manifest(folder: Path, rows: Sequence[Row]) -> None:
         writer = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
-    os.replace(draft, folder / "manifest.csv")
+    draft.replace(folder / "manifest.csv")
 
 
 def _write_step(scene: Scene, step: Step, folder: Path) -> Row:

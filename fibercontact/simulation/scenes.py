@@ -1,6 +1,7 @@
 """The scenes: six kinds, each a function of the number of fibres, their curl, the friction and a seed.
 
-Every fibre starts straight, so that none overlaps another, and curls up as the scene runs. The fibres are strands of 0.5 mm radius as heavy for their stiffness as long hair is: the dimensionless weight
+Every fibre starts straight, so that none overlaps another, and curls up as the scene runs. The fibres are
+strands of 0.5 mm radius as heavy for their stiffness as long hair is: the dimensionless weight
 `rho S g L³ / EI` of a 15 cm strand is 18.
 """
 
@@ -62,7 +63,7 @@ def _rest_curvature(curl: str, fibres: int, elements: int, rng: np.random.Genera
 
 def _rods(p: Parameters, length: float, rng: np.random.Generator, free: bool = False) -> Rods:
     """Strands of the scene; free ones have fewer elements, and curl less or they would fling themselves away."""
-    elements, share = (4, 0.3) if free else (5, 1.0)
+    elements, share = (4, 0.2) if free else (5, 1.0)
     return circular_rods(
         length=length * rng.uniform(0.9, 1.1, p.fibres),
         radius=RADIUS,
@@ -136,10 +137,10 @@ def head(p: Parameters, rng: np.random.Generator) -> Scene:
 
 
 def _dropped(p: Parameters, rng: np.random.Generator, spread: float, low: float) -> tuple[Rods, Array, Array]:
-    """Free rods, level but for a few degrees, in layers from the height `low` upwards."""
+    """Free level rods, one a layer, from the height `low` upwards."""
     rods = _rods(p, 0.1, rng, free=True)
     angle = rng.uniform(0, 2 * math.pi, p.fibres)
-    tangents = np.column_stack([np.cos(angle), np.sin(angle), 0.05 * rng.standard_normal(p.fibres)])
+    tangents = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(p.fibres)])
     middle = np.column_stack(
         [rng.uniform(-spread, spread, (p.fibres, 2)), low + 1.5e-3 * np.arange(p.fibres)]
     )
@@ -150,7 +151,7 @@ def plane(p: Parameters, rng: np.random.Generator) -> Scene:
     """Free fibres falling on a plane, where they pile up."""
     rods, roots, frames = _dropped(p, rng, 0.02, 5e-3)
     body = Body(np.zeros(3), obstacles=[Plane(np.zeros(3), np.array([0.0, 0.0, 1.0]))])
-    return _scene(p, plane, rods, roots, frames, [body], dt=1.5e-3, steps=320)
+    return _scene(p, plane, rods, roots, frames, [body], dt=1e-3, steps=480)
 
 
 def cylinder(p: Parameters, rng: np.random.Generator) -> Scene:
@@ -161,7 +162,7 @@ def cylinder(p: Parameters, rng: np.random.Generator) -> Scene:
         lambda time: Motion(np.zeros(3), np.array([0.0, 2.0, 0.0])),
         [Cylinder(np.zeros(3), np.array([0.0, 1.0, 0.0]), 0.025)],
     )
-    return _scene(p, cylinder, rods, roots, frames, [body], dt=1.5e-3, steps=320)
+    return _scene(p, cylinder, rods, roots, frames, [body], dt=1e-3, steps=480)
 
 
 def twist(p: Parameters, rng: np.random.Generator) -> Scene:
@@ -171,7 +172,7 @@ def twist(p: Parameters, rng: np.random.Generator) -> Scene:
     for count, side in ((half, -1.0), (p.fibres - half, 1.0)):
         lean = Rotation.from_rotvec([0.0, math.radians(20.0) * side, 0.0])
         roots, frames = _hanging(count, 1.2e-3, rng)
-        sides.append((lean.apply(roots) + [0.012 * side, 0.0, 0.0], lean.as_matrix() @ frames))
+        sides.append((lean.apply(roots) + np.array([0.012 * side, 0.0, 0.0]), lean.as_matrix() @ frames))
     roots, frames = (np.concatenate(x) for x in zip(*sides, strict=True))
     body = Body(
         np.zeros(3), lambda time: Motion(np.zeros(3), np.array([0.0, 0.0, 6.0 * min(1.0, time / 0.1)]))

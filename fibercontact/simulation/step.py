@@ -186,7 +186,9 @@ def _root_motion(scene: Scene, world: World, motions: list[Motion]) -> RootMotio
 def _block_diagonal(M: Array) -> csr_array:
     """One block a rod; symmetric bit for bit, so that a file holds the very problem that was solved."""
     R, D, _ = M.shape
-    return bsr_array((0.5 * (M + M.transpose(0, 2, 1)), np.arange(R), np.arange(R + 1)), shape=(R * D, R * D)).tocsr()
+    return bsr_array(
+        (0.5 * (M + M.transpose(0, 2, 1)), np.arange(R), np.arange(R + 1)), shape=(R * D, R * D)
+    ).tocsr()
 
 
 def _guess(world: World, contacts: Contacts, frames: Array) -> Array:

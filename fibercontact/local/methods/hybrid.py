@@ -33,7 +33,7 @@ __all__ = ["solver"]
 @jit
 def mfb(W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]) -> tuple[int, Vector, int]:
     """Damped Newton on the modified Fischer–Burmeister function."""
-    return newton(modified_fischer_burmeister, W, b, mu, r, options[0], int(options[1]), True)
+    return newton(modified_fischer_burmeister, W, b, mu, r, options[0], int(options[1]), True, 1.0, 0.0)
 
 
 @jit

@@ -29,7 +29,7 @@ def kernel(
         return Status.NOT_FINITE, r, 0
     if mu <= 0.0:
         return Status.CONVERGED, (max(0.0, -b[0] / W[0][0]), 0.0, 0.0), 0
-    return newton(modified_fischer_burmeister, W, b, mu, r, options[0], int(options[1]), True)
+    return newton(modified_fischer_burmeister, W, b, mu, r, options[0], int(options[1]), True, 1.0, 0.0)
 
 
 solver = LocalSolver(kernel, options=NEWTON_OPTIONS)

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fibercontact.jit import jit
-from fibercontact.local.alart_curnier import alart_curnier
+from fibercontact.local.alart_curnier import ALART_CURNIER_OPTIONS, alart_curnier
 from fibercontact.local.contract import LocalSolver, Matrix
-from fibercontact.local.newton import NEWTON_OPTIONS, newton
+from fibercontact.local.newton import newton
 from fibercontact.problem.cone import Vector
 
 __all__ = ["solver"]
@@ -23,7 +23,7 @@ def kernel(
     W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]
 ) -> tuple[int, Vector, int]:
     """Solve one contact; see the module's docstring."""
-    return newton(alart_curnier, W, b, mu, r, options[0], int(options[1]), False)
+    return newton(alart_curnier, W, b, mu, r, options[0], int(options[1]), False, options[2], options[3])
 
 
-solver = LocalSolver(kernel, options=NEWTON_OPTIONS)
+solver = LocalSolver(kernel, options=ALART_CURNIER_OPTIONS)

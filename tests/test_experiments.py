@@ -1,0 +1,30 @@
+"""Every script in experiments/ has a small run."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).parents[1] / "experiments"
+SMALL = {
+    "sweep_cost.py": ["--contacts", "60", "--repetitions", "1", "--solvers", "secular,pyramid"],
+    "alart_curnier_steps.py": ["--problems", "20", "--out", "figure"],
+}
+
+
+def test_every_script_has_a_small_run():
+    assert {file.name for file in FOLDER.glob("*.py")} == set(SMALL)
+
+
+@pytest.mark.parametrize("script", SMALL)
+def test_small_run(script, tmp_path):
+    done = subprocess.run(
+        [sys.executable, FOLDER / script, *SMALL[script]],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip()

@@ -1,0 +1,42 @@
+"""What the README shows is true: its plugin solves problems, its commands and files exist."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.sparse import eye_array
+
+from fibercontact.cli import app
+from fibercontact.gauss_seidel.solver import GaussSeidel
+from fibercontact.local.registry import configure, registered
+from fibercontact.problem.incremental import IncrementalProblem
+from fibercontact.problem.measure import measure
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_example_of_a_local_solver_solves_a_problem(tmp_path):
+    (code,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+    assert len(code.strip().splitlines()) <= 25
+    file = tmp_path / "my_solver.py"
+    file.write_text(code, encoding="utf-8")
+    local = configure("my-solver:steps=20", registered([file]))
+    b = np.array([-1.0, 0.2, 0.1, -1.0, 3.0, -1.0, 1.0, 0.0, 0.0])  # stick, slip, take-off
+    problem = IncrementalProblem.from_sparse(2.0 * eye_array(9), b, np.full(3, 0.5))
+    run = GaussSeidel(local, tolerance=1e-8).solve(problem)
+    assert run.claimed
+    assert measure(problem, run.r).residual <= 1e-8
+
+
+@pytest.mark.parametrize("path", sorted(set(re.findall(r"\]\((?!http)([^)]+)\)", README))))
+def test_linked_files_exist(path):
+    assert (ROOT / path).exists()
+
+
+@pytest.mark.parametrize(
+    "command", sorted(set(re.findall(r"(?:bin/|^|`)fibercontact (\w+) ", README, flags=re.MULTILINE)))
+)
+def test_commands_exist(command):
+    assert command in {registered.name for registered in app.registered_commands}
