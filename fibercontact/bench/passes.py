@@ -6,6 +6,7 @@ says of itself is recorded beside it and decides nothing.
 """
 
 import dataclasses
+import tempfile
 import time
 import warnings
 from collections.abc import Sequence
@@ -22,7 +23,7 @@ from fibercontact.gauss_seidel.solver import GaussSeidel, Outcome, Run, Visits
 from fibercontact.gauss_seidel.sweep import BlockSystem, block_system
 from fibercontact.local.contract import Status
 from fibercontact.local.registry import Configured, configure, registered
-from fibercontact.problem.fclib import FclibFile, read
+from fibercontact.problem.fclib import FclibFile, read, write
 from fibercontact.problem.incremental import IncrementalProblem, ProblemWarning
 from fibercontact.problem.measure import Measure, measure
 from fibercontact.problem.step import StepProblem
@@ -165,8 +166,11 @@ class Desk:
 
 
 def _warm_up(local: Configured) -> None:
-    """Run everything that a pass runs once, before any clock starts."""
-    laid = lay_out(_one_contact())
+    """Run everything that a pass runs once, from the file on, before any clock starts."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "one_contact.hdf5")
+        write(file, _one_contact())
+        laid = lay_out(read(file).problem)
     for outer in OUTERS:
         run = gauss_seidel(local, 1e-12, outer, Limits(9, 1.0)).solve_system(laid.system, laid.problem.b_ref)
         measure(laid.problem, run.r, local.facets)

@@ -14,7 +14,14 @@ from fibercontact.jit import jit
 from fibercontact.local.contract import KERNEL_SIGNATURE
 from fibercontact.problem.cone import project
 
-__all__ = ["compile_loop", "run_sweeps", "scale_impulse"]
+__all__ = ["MARK", "compile_loop", "new_guard", "run_sweeps", "scale_impulse"]
+
+MARK = 100
+"""Sweeps between two looks at whether the run cycles."""
+PATIENCE = 5
+"""Looks without a new least residual after which it does."""
+CURE = 0.05
+"""Proximal term that is then put in force: a contact with several solutions no longer jumps between them."""
 
 Array = NDArray[np.float64]
 
@@ -49,6 +56,22 @@ def accelerate(s: BlockSystem, how: Sweeper, m: Memory, r: Array, u: Array, resi
     velocity(s, r, u)
 
 
+def new_guard(proximal: float) -> Array:
+    """State of the watch for cycles: proximal term in force, least residual at a mark, marks since then."""
+    return np.array([proximal, math.inf, 0.0])
+
+
+@jit
+def watch(guard: Array, residual: float) -> None:
+    """Look at the residual at a mark; a run that cycles gets a proximal term."""
+    if residual < guard[1]:
+        guard[1], guard[2] = residual, 0.0
+        return
+    guard[2] += 1.0
+    if guard[2] >= PATIENCE:
+        guard[0], guard[2] = max(guard[0], CURE), 0.0
+
+
 @jit
 def run_sweeps(
     kernel: Any,
@@ -56,6 +79,7 @@ def run_sweeps(
     s: BlockSystem,
     how: Sweeper,
     m: Memory,
+    guard: Array,
     r: Array,
     u: Array,
     best_r: Array,
@@ -72,10 +96,11 @@ def run_sweeps(
     velocity computed afresh. The best residual is returned as NaN when an iterate is not finite.
     """
     while done < budget:
-        sweep(kernel, options, s, how, r, u, visits)
+        sweep(kernel, options, s, how, guard[0], r, u, visits)
         done += 1
         map_ends = how.period > 0 and done % how.period == 0
-        if done % how.check_every != 0 and done != budget and not map_ends:
+        marks = done % MARK == 0
+        if done % how.check_every != 0 and done != budget and not map_ends and not marks:
             continue
         residual = residual_from(s, r, u, how.facets)
         if residual <= how.target:
@@ -90,6 +115,8 @@ def run_sweeps(
             return done, best, True
         if not math.isfinite(residual):
             return done, math.nan, False
+        if marks:
+            watch(guard, residual)
         if map_ends:
             accelerate(s, how, m, r, u, residual)
     return done, best, False
@@ -102,9 +129,9 @@ _SIGNATURE = types.Tuple((_I, _F, types.boolean))(
     types.FunctionType(KERNEL_SIGNATURE),
     _VECTOR,
     types.NamedTuple((_INDEX, _INDEX, _VECTOR, _MATRIX, _VECTOR, _VECTOR, _VECTOR), BlockSystem),
-    types.NamedTuple((_I, _F, _F, _F, _I, _I, _F), Sweeper),
+    types.NamedTuple((_I, _F, _F, _I, _I, _F), Sweeper),
     types.NamedTuple((_MATRIX, _MATRIX, _VECTOR, _VECTOR, _VECTOR, _VECTOR), Memory),
-    _VECTOR, _VECTOR, _VECTOR, types.int64[::1], _VECTOR, _F, _I, _I,
+    _VECTOR, _VECTOR, _VECTOR, _VECTOR, types.int64[::1], _VECTOR, _F, _I, _I,
 )  # fmt: skip
 
 

@@ -44,7 +44,6 @@ class Sweeper(NamedTuple):
     """What a run of sweeps is asked to do."""
 
     facets: int  # of the law that stops the run
-    proximal: float  # c of the term c sigma_i I, renewed at each visit
     negligible: float  # change of sigma_i r_i that is not worth a push
     target: float  # residual to reach, in the unit of b
     check_every: int  # sweeps between two evaluations of the residual
@@ -158,7 +157,8 @@ def regime(r: Vector, mu: float) -> int:
     """Regime of an impulse."""
     if r[0] <= 0.0:
         return OPEN
-    return STICK if math.sqrt(r[1] * r[1] + r[2] * r[2]) < STICK_MARGIN * mu * r[0] else SLIP
+    limit = STICK_MARGIN * mu * r[0]
+    return STICK if r[1] * r[1] + r[2] * r[2] < limit * limit else SLIP
 
 
 @jit
@@ -167,15 +167,19 @@ def sweep(
     options: NDArray[np.float64],
     s: BlockSystem,
     how: Sweeper,
+    proximal: float,
     r: NDArray[np.float64],
     u: NDArray[np.float64],
     visits: NDArray[np.int64],
 ) -> None:
-    """Visit every contact once, in order; count statuses, regimes and local iterations in `visits`."""
+    """Visit every contact once, in order; count statuses, regimes and local iterations in `visits`.
+
+    `proximal` is the c of the term `c sigma_i I` that is renewed at each visit (THEORY §4).
+    """
     for i in range(len(s.mu)):
         old = (r[3 * i], r[3 * i + 1], r[3 * i + 2])
         W, b = local_problem(
-            s.diagonal[i], (u[3 * i], u[3 * i + 1], u[3 * i + 2]), old, how.proximal * s.sigma[i]
+            s.diagonal[i], (u[3 * i], u[3 * i + 1], u[3 * i + 2]), old, proximal * s.sigma[i]
         )
         status, new, iterations = kernel(W, b, s.mu[i], old, options)
         if status != CONVERGED or not math.isfinite(new[0] + new[1] + new[2]):

@@ -10,6 +10,7 @@ Comput. 4, 1983) for trust regions. Fails only on data that are not finite or no
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,19 +48,58 @@ def first_alpha(W: Matrix, b: Vector, mu: float, r: Vector, t: Tangential) -> fl
     return -math.sqrt(t.c1 * t.c1 + t.c2 * t.c2) * t.W_NN / (mu * t.b_N) - 0.5 * t.trace
 
 
+class Polynomials(NamedTuple):
+    """What `phi` is made of, as polynomials in alpha: `D phi = |c| + m`, all without cancellation in `|c|²`."""
+
+    trace: float  # D = det(W̄ + alpha I) = det + trace alpha + alpha²
+    det: float
+    q0: float  # |c|² = q0 + 2 q1 alpha + q2 alpha², c = adj(W̄) b̄ + alpha b̄ = -D r_T
+    q1: float
+    q2: float
+    m0: float  # m = m0 + m1 alpha + m2 alpha² = -mu D r_N
+    m1: float
+    m2: float
+
+
 @jit
-def newton_step(t: Tangential, r: Vector, alpha: float, mu: float) -> tuple[float, float]:
-    """`phi` at alpha and Newton's next alpha for `psi = 1/|r_T| - 1/(mu r_N)`."""
-    scale = -1.0 / (t.det + alpha * (t.trace + alpha))
-    d1 = scale * ((t.A22 + alpha) * r[1] - t.A12 * r[2])  # d r_T / d alpha
-    d2 = scale * ((t.A11 + alpha) * r[2] - t.A12 * r[1])
-    size = math.sqrt(r[1] * r[1] + r[2] * r[2])
-    limit = mu * r[0]
-    phi = size - limit
-    slope = (
-        mu * (t.w1 * d1 + t.w2 * d2) / t.W_NN * size * size * size + (r[1] * d1 + r[2] * d2) * limit * limit
+def polynomials(t: Tangential, mu: float) -> Polynomials:
+    """Coefficients for one contact."""
+    B1, B2 = t.A22 * t.c1 - t.A12 * t.c2, t.A11 * t.c2 - t.A12 * t.c1
+    scale = mu / t.W_NN
+    m2 = scale * t.b_N
+    return Polynomials(
+        t.trace,
+        t.det,
+        B1 * B1 + B2 * B2,
+        max(0.0, B1 * t.c1 + B2 * t.c2),
+        t.c1 * t.c1 + t.c2 * t.c2,
+        m2 * t.det - scale * (t.w1 * B1 + t.w2 * B2),
+        m2 * t.trace - scale * (t.w1 * t.c1 + t.w2 * t.c2),
+        m2,
     )
-    return phi, alpha - limit * size * size * phi / slope
+
+
+@jit
+def newton_step(p: Polynomials, alpha: float) -> tuple[float, float, float]:
+    """`D phi` and `mu D r_N` at alpha, and Newton's next alpha for `psi = 1/|r_T| - 1/(mu r_N)`.
+
+    With `g = |c| + m` one has `psi = D g / (|c| m)`, whose Newton step takes one division and one root.
+    """
+    D = p.det + alpha * (p.trace + alpha)
+    q = p.q0 + alpha * (2.0 * p.q1 + alpha * p.q2)
+    m = p.m0 + alpha * (p.m1 + alpha * p.m2)
+    size = math.sqrt(q)
+    g = size + m
+    P = m * q * g
+    N = (p.m1 + 2.0 * alpha * p.m2) * size * q + (p.q1 + alpha * p.q2) * m * m
+    return g, -m, alpha - D * P / ((p.trace + 2.0 * alpha) * P - N * D)
+
+
+@jit
+def bracket_end(t: Tangential, mu: float) -> float:
+    """Twice `alpha_max`, where `phi` is negative."""
+    coupling = t.W_NN / mu + math.sqrt(t.w1 * t.w1 + t.w2 * t.w2)
+    return -2.0 * math.sqrt(t.c1 * t.c1 + t.c2 * t.c2) * coupling / t.b_N
 
 
 @jit
@@ -74,29 +114,24 @@ def kernel(
     if regime != SLIP:
         return Status.CONVERGED, stick, 0
     tolerance, budget = options[0], int(options[1])
-    low = 0.0
-    high = (
-        2.0
-        * math.sqrt(t.c1 * t.c1 + t.c2 * t.c2)
-        * (t.W_NN / mu + math.sqrt(t.w1 * t.w1 + t.w2 * t.w2))
-        / (-t.b_N)
-    )
+    p = polynomials(t, mu)
+    low, high = 0.0, math.inf
     alpha = first_alpha(W, b, mu, r, t)
     for k in range(budget):
         if not low < alpha < high:
+            high = min(high, bracket_end(t, mu))
             alpha = 0.5 * (low + high) if low > 0.0 else 1e-3 * high
-        r = slip_impulse(t, alpha)
-        phi, newton = newton_step(t, r, alpha, mu)
-        if abs(phi) <= tolerance * mu * r[0] or high - low <= 4e-16 * high:
-            r = on_cone(r, mu)
+        g, limit, newton = newton_step(p, alpha)
+        if abs(g) <= tolerance * limit or high - low <= 4e-16 * low:
+            r = on_cone(slip_impulse(t, alpha), mu)
             sound = alpha > SHIFT * (t.trace + t.W_NN) or law_residual(W, b, mu, r) <= ACCEPTED * norm(b)
             return Status.CONVERGED if sound else Status.INACCURATE, r, k + 1
-        if phi > 0.0:
+        if g > 0.0:
             low = alpha
         else:
             high = alpha
         alpha = newton
-    return Status.ITERATIONS if math.isfinite(r[0] + r[1] + r[2]) else Status.NOT_FINITE, r, budget
+    return Status.ITERATIONS, slip_impulse(t, alpha), budget
 
 
 @jit
