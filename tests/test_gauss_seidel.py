@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fibercontact.gauss_seidel.anderson import Acceleration, no_memory
-from fibercontact.gauss_seidel.loop import compile_loop, run_sweeps
+from fibercontact.gauss_seidel.loop import compile_loop, new_guard, run_sweeps, watch
 from fibercontact.gauss_seidel.solver import GaussSeidel, Outcome
 from fibercontact.gauss_seidel.sweep import COUNTERS, block_system, residual_from, velocity
 from fibercontact.jit import jit
@@ -66,6 +66,7 @@ def sweeps_from_zero(problem, name, count, proximal=0.0):
         system,
         how,
         no_memory(),
+        new_guard(proximal),
         r,
         u,
         r.copy(),
@@ -395,3 +396,17 @@ def test_runs_have_no_unit(s):
     first, second = solver().solve(problem), solver().solve(scaled)
     assert abs(first.sweeps - second.sweeps) <= 5
     np.testing.assert_allclose(s * second.r, first.r, rtol=0, atol=1e-6 * np.abs(first.r).max())
+
+
+def test_a_cycle_gets_a_proximal_term_and_a_local_failure_does_not():
+    guard = new_guard(0.0)
+    for residual in (3.0, 2.0, 2.5, 2.1, 2.0, 2.4):
+        watch(guard, residual, 0)
+    assert guard[0] == 0.0
+    watch(guard, 2.2, 0)  # five marks without a new minimum
+    assert guard[0] > 0.0
+    failing = new_guard(0.0)
+    for mark in range(50):
+        watch(failing, 2.0, mark + 1)
+    assert failing[0] == 0.0
+    assert new_guard(0.3)[0] == 0.3

@@ -5,8 +5,8 @@ import queue
 import statistics
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Protocol
@@ -65,11 +65,16 @@ class Plan:
     plugins: Sequence[Path] = ()
 
     def units(self) -> list[Unit]:
-        """All rows of the run: the timed accuracies first, problem by problem."""
-        modes = [(TIMED, self.timed)] * bool(self.timed) + [(RATES, self.rates)] * bool(self.rates)
+        """The rows that were asked for: the timed accuracies first, problem by problem."""
+        return self._units(TIMED, self.timed) + self._units(RATES, self.rates)
+
+    def work(self) -> list[Unit]:
+        """All rows to be measured: a timed row needs the row of its pass that is not timed."""
+        return self._units(RATES, [*self.timed, *self.rates]) + self._units(TIMED, self.timed)
+
+    def _units(self, mode: str, accuracies: Sequence[str]) -> list[Unit]:
         return [
             Unit(entry, self._key(entry, solver, accuracy, mode), solver.facets)
-            for mode, accuracies in modes
             for entry in self.entries
             for accuracy in accuracies
             for solver in self.solvers
@@ -111,16 +116,17 @@ def run(plan: Plan, rows: RowFile, listener: Listener) -> list[str]:
     Raises `BenchError` when the workers cannot load the solvers, `KeyboardInterrupt` after stopping them.
     """
     done = {Key.of(row) for row in rows.read()}
-    units = plan.units()
+    units = plan.work()
     missing = [unit for unit in units if unit.key not in done]
     for note in [*rows.notes, *_strangers(done, units, rows.path)]:
         listener.note(note)
     faults: list[str] = []
     with one_thread(), rows.appending():
-        for mode, jobs in ((TIMED, 1), (RATES, plan.jobs)):
+        for mode, jobs in ((RATES, plan.jobs), (TIMED, 1)):
             problems = list(_by_problem(unit for unit in missing if unit.key.mode == mode))
-            faults += _measure(plan, problems, min(jobs, len(problems)), mode, rows, listener)
-    return faults
+            first = {key: row for row in rows.read() if (key := Key.of(row)) is not None}
+            faults += _measure(plan, problems, min(jobs, len(problems)), mode, rows, listener, first)
+    return list(dict.fromkeys(faults))
 
 
 def _strangers(done: set[Key | None], units: list[Unit], path: Path) -> Iterator[str]:
@@ -140,9 +146,15 @@ def _by_problem(units: Iterable[Unit]) -> Iterator[list[Unit]]:
 
 
 def _measure(
-    plan: Plan, problems: list[list[Unit]], jobs: int, mode: str, rows: RowFile, listener: Listener
+    plan: Plan,
+    problems: list[list[Unit]],
+    jobs: int,
+    mode: str,
+    rows: RowFile,
+    listener: Listener,
+    first: Mapping[Key, Row],
 ) -> list[str]:
-    """Measure problems with `jobs` workers at once; a timed run pins its only one."""
+    """Measure problems with `jobs` workers at once; a timed run pins its only one, and finds `first` passes."""
     todo: queue.SimpleQueue[list[Unit]] = queue.SimpleQueue()
     for units in problems:
         todo.put(units)
@@ -160,7 +172,7 @@ def _measure(
     def serve(worker: Worker) -> None:
         try:
             while not errors:
-                faults.extend(_Measurement(worker, todo.get_nowait(), record, listener).run())
+                faults.extend(_Measurement(worker, todo.get_nowait(), record, listener, first).run())
         except (queue.Empty, Ended):
             pass
         except BaseException as error:
@@ -188,8 +200,14 @@ class _Measurement:
     """All passes of a run over one problem."""
 
     def __init__(
-        self, worker: Worker, units: list[Unit], record: Callable[[Unit, Row], None], listener: Listener
+        self,
+        worker: Worker,
+        units: list[Unit],
+        record: Callable[[Unit, Row], None],
+        listener: Listener,
+        first: Mapping[Key, Row],
     ) -> None:
+        self.first = first
         self.worker, self.units, self.record, self.listener = worker, units, record, listener
         self.file, self.start = units[0].entry.file, units[0].key.start
         self.common: Row = {}
@@ -211,9 +229,12 @@ class _Measurement:
 
     def _first(self, unit: Unit) -> Row | None:
         """The pass that is not timed; returned when timed ones are to follow, recorded when not."""
-        first = self._pass(unit, timed=False)
-        if first["solved"] and unit.key.mode == TIMED:
-            return first
+        if unit.key.mode == TIMED:
+            first = dict(self.first[replace(unit.key, mode=RATES, repetitions=0)])
+            if first["solved"]:
+                return first
+        else:
+            first = self._pass(unit, timed=False)
         self._write(unit, first, [])
         return None
 
@@ -254,7 +275,7 @@ class _Measurement:
             "time_median": statistics.median(seconds) if seconds else None,
         }
         stamp = {"stamp": datetime.now(UTC).isoformat(timespec="seconds")}
-        self.record(unit, unit.key.fields() | identity | self.common | outcome | times | stamp)
+        self.record(unit, outcome | unit.key.fields() | identity | self.common | times | stamp)
 
 
 def _lost(reason: str, fault: Exception) -> Row:

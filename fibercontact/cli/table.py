@@ -117,7 +117,7 @@ def _run(plan: "Plan", rows: "RowFile") -> list[str]:
     from fibercontact.bench.run import run
     from fibercontact.cli.progress import listening
 
-    units = plan.units()
+    units = plan.work()
     try:
         with listening(units, rows) as listener:
             return run(plan, rows, listener)

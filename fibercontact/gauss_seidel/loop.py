@@ -9,7 +9,7 @@ from numba.core import config
 from numpy.typing import NDArray
 
 from fibercontact.gauss_seidel.anderson import Memory, extrapolate, remember
-from fibercontact.gauss_seidel.sweep import BlockSystem, Sweeper, residual_from, sweep, velocity
+from fibercontact.gauss_seidel.sweep import LAST_FAILURE, BlockSystem, Sweeper, residual_from, sweep, velocity
 from fibercontact.jit import jit
 from fibercontact.local.contract import KERNEL_SIGNATURE
 from fibercontact.problem.cone import project
@@ -57,15 +57,20 @@ def accelerate(s: BlockSystem, how: Sweeper, m: Memory, r: Array, u: Array, resi
 
 
 def new_guard(proximal: float) -> Array:
-    """State of the watch for cycles: proximal term in force, least residual at a mark, marks since then."""
-    return np.array([proximal, math.inf, 0.0])
+    """Watch for cycles: proximal term in force, least residual at a mark, marks since then, local failures."""
+    return np.array([proximal, math.inf, 0.0, 0.0])
 
 
 @jit
-def watch(guard: Array, residual: float) -> None:
-    """Look at the residual at a mark; a run that cycles gets a proximal term."""
-    if residual < guard[1]:
-        guard[1], guard[2] = residual, 0.0
+def watch(guard: Array, residual: float, failures: int) -> None:
+    """Look at the residual at a mark; a run that cycles gets a proximal term.
+
+    Only the outer loop's cycles are cured: a local solver that has failed since the last mark is not rescued.
+    """
+    failed = failures > guard[3]
+    guard[3] = failures
+    if residual < guard[1] or failed:
+        guard[1], guard[2] = min(residual, guard[1]), 0.0
         return
     guard[2] += 1.0
     if guard[2] >= PATIENCE:
@@ -116,7 +121,7 @@ def run_sweeps(
         if not math.isfinite(residual):
             return done, math.nan, False
         if marks:
-            watch(guard, residual)
+            watch(guard, residual, visits[1 : LAST_FAILURE + 1].sum())
         if map_ends:
             accelerate(s, how, m, r, u, residual)
     return done, best, False

@@ -108,8 +108,8 @@ class GaussSeidel:
     `proximal` is the c of the term `c sigma_i I` renewed at each visit (0: none); `acceleration`, when given,
     extrapolates every few sweeps. `negligible` is the change of `sigma_i r_i`, as a share of the tolerance,
     below which a contact is left as it is. `check_every` sweeps pass between two evaluations of the residual.
-    A run whose residual, looked at every 100 sweeps, has found no new minimum for 500 is cycling: a proximal term
-    of 0.05 is then put in force, for every local solver alike.
+    A run in which every local solve succeeds and whose residual, looked at every 100 sweeps, has found no new
+    minimum for 500 is cycling: a proximal term of 0.05 is then put in force. Local failures are not cured so.
     """
 
     local: Configured

@@ -18,7 +18,16 @@ from fibercontact.local.contract import Matrix, Status
 from fibercontact.problem.cone import Vector, natural_map, norm, project
 from fibercontact.problem.incremental import IncrementalProblem
 
-__all__ = ["COUNTERS", "BlockSystem", "Sweeper", "block_system", "residual_from", "sweep", "velocity"]
+__all__ = [
+    "COUNTERS",
+    "LAST_FAILURE",
+    "BlockSystem",
+    "Sweeper",
+    "block_system",
+    "residual_from",
+    "sweep",
+    "velocity",
+]
 
 CONVERGED, FIRST_FAILURE, LAST_FAILURE = int(Status.CONVERGED), int(Status.ITERATIONS), int(Status.NOT_FINITE)
 COUNTERS = LAST_FAILURE + 5
