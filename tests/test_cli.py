@@ -272,3 +272,23 @@ def test_table_with_a_plugin(tmp_path, monkeypatch):
 def test_errors_of_table(file, arguments, message):
     arguments = [str(file.parent) if a == "SET" else a for a in arguments]
     assert message in fails("table", *arguments)
+
+
+# simulate and dump
+
+
+def test_simulate_runs_some_steps_and_leaves_rows_and_a_picture(tmp_path):
+    out = tmp_path / "run"
+    result = call("simulate", "wisp-straight-19-mu0.3", "--steps", "3", "--out", out)
+    assert result.exit_code == 0, result.output
+    assert "3 steps" in result.output
+    assert len((out / "steps.csv").read_text().splitlines()) == 4
+    assert (out / "last.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_scenes_are_listed_and_unknown_ones_refused(tmp_path):
+    assert "comb-curly-91-mu1" in call("simulate", "list").output
+    result = call("dump", "nowhere", "--out", tmp_path / "set")
+    assert result.exit_code == 2
+    assert "unknown scene 'nowhere' (known: wisp-straight" in result.stderr
+    assert not (tmp_path / "set").exists()

@@ -41,8 +41,15 @@ def versions() -> Mapping[str, str]:
 
 
 def load() -> float:
-    """Mean number of running processes over the last minute, NaN where the system does not tell."""
-    return os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
+    """Number of other processes that run at this moment, NaN where the system does not tell.
+
+    Not the mean over the last minute, which would count what this run itself did in parallel before.
+    """
+    try:
+        running = Path("/proc/loadavg").read_text(encoding="utf-8").split()[3].partition("/")[0]
+    except (OSError, IndexError):
+        return float("nan")
+    return max(0.0, float(running) - 1.0)
 
 
 def usable_cores() -> list[int]:
