@@ -264,7 +264,18 @@ def wait_for_rows(path, count, process):
 
 def test_a_killed_and_an_interrupted_run_resume_where_they_stopped(tmp_path):
     folder = write_set(tmp_path / "set", 40)
-    table = ("table", "--set", folder, "--solvers", "secular,hybrid", "--out", tmp_path / "run")
+    # Many repetitions, so that the run lasts long enough to be killed.
+    table = (
+        "table",
+        "--set",
+        folder,
+        "--solvers",
+        "secular,hybrid",
+        "--repetitions",
+        200,
+        "--out",
+        tmp_path / "run",
+    )
     path = tmp_path / "run" / "rows.jsonl"
 
     killed = command(*table)
