@@ -68,7 +68,7 @@ def main() -> None:
         axes.semilogx(curve.rho, curve.failure_percent, label=f"{solver}, disc {radius}", marker=".", **style)
     axes.axvline(1.0, color="0.7", linewidth=0.8)
     axes.set_ylim(bottom=0)
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=8, loc="upper center")
     given.out.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(given.out.with_suffix(".svg"), metadata={"Date": None})
     figure.savefig(given.out.with_suffix(".png"), dpi=150)
