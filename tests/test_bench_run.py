@@ -250,6 +250,8 @@ def command(*arguments):
     return subprocess.Popen(
         [sys.executable, "-m", "fibercontact.cli", *map(str, arguments)],
         env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        # A shell's background job ignores Ctrl-C, and its children with it.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
 
 
