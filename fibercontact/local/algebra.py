@@ -127,7 +127,8 @@ def eliminate_normal(W: Matrix, b: Vector) -> Tangential:
 @jit
 def slip_impulse(t: Tangential, alpha: float) -> Vector:
     """The impulse with `u_N = 0` and `u_T = -alpha r_T`: `(W̄ + alpha I) r_T = -b̄`."""
-    scale = -1.0 / (t.det + alpha * (t.trace + alpha))
+    det = t.det + alpha * (t.trace + alpha)
+    scale = -1.0 / det if det != 0.0 else -math.inf
     r1 = scale * ((t.A22 + alpha) * t.c1 - t.A12 * t.c2)
     r2 = scale * ((t.A11 + alpha) * t.c2 - t.A12 * t.c1)
     return (-(t.b_N + t.w1 * r1 + t.w2 * r2) / t.W_NN, r1, r2)
