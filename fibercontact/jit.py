@@ -1,8 +1,8 @@
 """The one place that says how kernels are compiled and where the compiled code is kept.
 
 Numba's disk cache looks at the file of the compiled function only, never at the files of the functions it
-calls. So the cache lives in a folder named after the content of every source file of the package: an edit
-anywhere opens a new folder, and nothing stale is ever read.
+calls. So the cache lives in a folder named after the content of every source file that a kernel can depend on:
+an edit there opens a new folder, and nothing stale is ever read.
 """
 
 import hashlib
@@ -17,7 +17,10 @@ from typing import Any
 import numba
 from numba.core import config
 
-__all__ = ["cache_folder", "content_key", "jit", "jit_inline"]
+__all__ = ["KERNEL_ROOMS", "cache_folder", "content_key", "jit", "jit_inline"]
+
+KERNEL_ROOMS = ("rods", "contact", "problem", "local", "gauss_seidel")
+"""Rooms with kernels. A module imports only from rooms before its own, so no kernel depends on the others."""
 
 _PACKAGE = Path(__file__).parent
 _KEPT = 8  # cache folders of older sources that stay on disk
@@ -37,7 +40,8 @@ def cache_folder() -> Path:
     root = os.environ.get("FIBERCONTACT_CACHE") or Path(
         os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "fibercontact"
     )
-    return Path(root) / content_key(_PACKAGE.rglob("*.py"))
+    sources = [file for room in KERNEL_ROOMS for file in (_PACKAGE / room).rglob("*.py")]
+    return Path(root) / content_key([*_PACKAGE.glob("*.py"), *sources])
 
 
 def _use_cache_folder() -> None:

@@ -14,6 +14,7 @@ from fibercontact.gauss_seidel.anderson import Acceleration, no_memory
 from fibercontact.gauss_seidel.loop import compile_loop, new_guard, run_sweeps, watch
 from fibercontact.gauss_seidel.solver import GaussSeidel, Outcome
 from fibercontact.gauss_seidel.sweep import COUNTERS, block_system, residual_from, velocity
+from fibercontact.gauss_seidel.visit_log import no_log
 from fibercontact.jit import jit
 from fibercontact.local.contract import LocalSolver, Status
 from fibercontact.local.registry import Configured, configure, registered
@@ -71,6 +72,7 @@ def sweeps_from_zero(problem, name, count, proximal=0.0):
         u,
         r.copy(),
         counts,
+        no_log(),
         np.empty(0),
         math.inf,
         0,

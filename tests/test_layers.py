@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 import fibercontact
+from fibercontact.jit import KERNEL_ROOMS
 
 ROOMS = [
     "errors", "jit", "rods", "contact", "problem", "local", "gauss_seidel", "simulation", "reference", "bench", "cli"
@@ -92,3 +93,15 @@ def test_an_import_with_the_flow_is_accepted(tmp_path, file, source):
     (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
     (tmp_path / file).write_text(source, encoding="utf-8")
     assert violations(tmp_path) == []
+
+
+def test_only_the_kernel_rooms_compile():
+    """The folder of compiled code is named after the sources of these rooms alone."""
+    package = Path(fibercontact.__file__).parent
+    for file in package.rglob("*.py"):
+        imports = [
+            node for node in ast.walk(ast.parse(file.read_text("utf-8"))) if isinstance(node, ast.ImportFrom)
+        ]
+        names = {alias.name for node in imports if node.module == "fibercontact.jit" for alias in node.names}
+        compiles = bool(names & {"jit", "jit_inline"})
+        assert not compiles or file.relative_to(package).parts[0] in KERNEL_ROOMS, file

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fibercontact.gauss_seidel.anderson import Memory, extrapolate, remember
 from fibercontact.gauss_seidel.sweep import LAST_FAILURE, BlockSystem, Sweeper, residual_from, sweep, velocity
+from fibercontact.gauss_seidel.visit_log import VisitLog
 from fibercontact.jit import jit
 from fibercontact.local.contract import KERNEL_SIGNATURE
 from fibercontact.problem.cone import project
@@ -89,6 +90,7 @@ def run_sweeps(
     u: Array,
     best_r: Array,
     visits: NDArray[np.int64],
+    log: VisitLog,
     history: Array,
     best: float,
     done: int,
@@ -101,7 +103,7 @@ def run_sweeps(
     velocity computed afresh. The best residual is returned as NaN when an iterate is not finite.
     """
     while done < budget:
-        sweep(kernel, options, s, how, guard[0], r, u, visits)
+        sweep(kernel, options, s, how, guard[0], r, u, visits, log)
         done += 1
         map_ends = how.period > 0 and done % how.period == 0
         marks = done % MARK == 0
@@ -127,8 +129,8 @@ def run_sweeps(
     return done, best, False
 
 
-_F, _I, _VECTOR, _INDEX, _MATRIX = (
-    types.float64, types.int64, types.float64[::1], types.int32[::1], types.float64[:, ::1],
+_F, _I, _VECTOR, _INDEX, _MATRIX, _COUNTS = (
+    types.float64, types.int64, types.float64[::1], types.int32[::1], types.float64[:, ::1], types.int64[::1],
 )  # fmt: skip
 _SIGNATURE = types.Tuple((_I, _F, types.boolean))(
     types.FunctionType(KERNEL_SIGNATURE),
@@ -136,7 +138,9 @@ _SIGNATURE = types.Tuple((_I, _F, types.boolean))(
     types.NamedTuple((_INDEX, _INDEX, _VECTOR, _MATRIX, _VECTOR, _VECTOR, _VECTOR), BlockSystem),
     types.NamedTuple((_I, _F, _F, _I, _I, _F), Sweeper),
     types.NamedTuple((_MATRIX, _MATRIX, _VECTOR, _VECTOR, _VECTOR, _VECTOR), Memory),
-    _VECTOR, _VECTOR, _VECTOR, _VECTOR, types.int64[::1], _VECTOR, _F, _I, _I,
+    _VECTOR, _VECTOR, _VECTOR, _VECTOR, _COUNTS,
+    types.NamedTuple((types.int64[:, ::1], types.int64[:, ::1], _MATRIX, _MATRIX, _MATRIX, _COUNTS), VisitLog),
+    _VECTOR, _F, _I, _I,
 )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from fibercontact.gauss_seidel.sweep import (
     residual_from,
     velocity,
 )
+from fibercontact.gauss_seidel.visit_log import VisitLog, no_log
 from fibercontact.local.contract import Status
 from fibercontact.local.registry import Configured
 from fibercontact.problem.incremental import IncrementalProblem
@@ -129,9 +130,14 @@ class GaussSeidel:
         return self.solve_system(block_system(problem), problem.b_ref, start, history)
 
     def solve_system(
-        self, system: BlockSystem, b_ref: float, start: Array | None = None, history: bool = False
+        self,
+        system: BlockSystem,
+        b_ref: float,
+        start: Array | None = None,
+        history: bool = False,
+        log: VisitLog | None = None,
     ) -> Run:
-        """Solve a problem that is already laid out for sweeps."""
+        """Solve a problem that is already laid out for sweeps; `log` records the visits."""
         compile_loop()
         kernel, options = self.local.kernel(), self.local.options
         began = time.perf_counter()
@@ -146,7 +152,7 @@ class GaussSeidel:
         if self.acceleration:
             scale_impulse(system, r, memory.x)
         guard = new_guard(self.proximal)
-        loop: Any = (kernel, options, system, how, memory, guard, r, u, best_r, counts, past)
+        loop: Any = (kernel, options, system, how, memory, guard, r, u, best_r, counts, log or no_log(), past)
         done, reached, elapsed, slice_ = 0, best <= how.target, 0.0, self.check_every
         while not reached and math.isfinite(best) and done < self.max_sweeps and elapsed < self.max_seconds:
             done, best, reached = run_sweeps(*loop, best, done, min(self.max_sweeps, done + slice_))

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fibercontact.gauss_seidel.visit_log import VisitLog, end_sweep, record
 from fibercontact.jit import jit
 from fibercontact.local.algebra import OPEN, SLIP, STICK
 from fibercontact.local.contract import Matrix, Status
@@ -180,10 +181,12 @@ def sweep(
     r: NDArray[np.float64],
     u: NDArray[np.float64],
     visits: NDArray[np.int64],
+    log: VisitLog,
 ) -> None:
     """Visit every contact once, in order; count statuses, regimes and local iterations in `visits`.
 
-    `proximal` is the c of the term `c sigma_i I` that is renewed at each visit (THEORY §4).
+    A `log` with contacts records every visit. `proximal` is the c of the term `c sigma_i I` that is renewed at each
+    visit (THEORY §4).
     """
     for i in range(len(s.mu)):
         old = (r[3 * i], r[3 * i + 1], r[3 * i + 2])
@@ -194,10 +197,14 @@ def sweep(
         if status != CONVERGED or not math.isfinite(new[0] + new[1] + new[2]):
             status = min(max(status, FIRST_FAILURE), LAST_FAILURE)
             new = tempered(W, b, s.mu[i], s.sigma[i], old, new, how.facets)
+        found = regime(new, s.mu[i])
         visits[status] += 1
-        visits[LAST_FAILURE + 1 + regime(new, s.mu[i])] += 1
+        visits[LAST_FAILURE + 1 + found] += 1
         visits[LAST_FAILURE + 4] += iterations
+        if len(log.by_contact) > 0:
+            record(log, i, status, iterations, found, W, b, s.mu[i], old, new)
         d0, d1, d2 = new[0] - old[0], new[1] - old[1], new[2] - old[2]
         if s.sigma[i] * max(abs(d0), abs(d1), abs(d2)) > how.negligible:
             r[3 * i], r[3 * i + 1], r[3 * i + 2] = new[0], new[1], new[2]
             push(s, i, d0, d1, d2, u)
+    end_sweep(log)

@@ -1,0 +1,136 @@
+"""What happened at the visits of a run, contact by contact and sweep by sweep, in bounded memory.
+
+Counts are exact. Of the visits themselves two uniform samples are kept, one of all and one of those whose local solve
+failed: each visit replaces a random one once its sample is full [Vitter 1985, algorithm R], the same ones in every
+run. The impulses of the last sweeps are kept whole, which shows what cycles.
+
+Reference: Vitter, Random sampling with a reservoir, ACM Trans. Math. Software 11, 1985; PROTOCOL level 2.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fibercontact.jit import jit
+from fibercontact.local.contract import Matrix, Status
+from fibercontact.problem.cone import Vector
+
+__all__ = [
+    "BY_SWEEP", "RECENT", "SWITCHES", "UNSEEN", "VISIT", "VisitLog", "end_sweep", "new_log", "no_log",
+    "record", "samples",
+]  # fmt: skip
+
+RECENT = 64
+"""Last sweeps whose impulses are kept."""
+
+STATUSES = len(Status)
+SWITCHES, LAST_REGIME = STATUSES, STATUSES + 1  # columns of `by_contact` after the statuses
+UNSEEN = -1
+BY_SWEEP = ("open", "stick", "slip", "failures", "iterations", "switches")
+"""Columns of `by_sweep`."""
+FAILURES, ITERATIONS, CHANGES = 3, 4, 5
+
+VISIT = np.dtype(
+    [
+        ("sweep", "f8"), ("contact", "f8"), ("status", "f8"), ("iterations", "f8"), ("regime", "f8"),
+        ("W", "f8", (3, 3)), ("b", "f8", 3), ("mu", "f8"), ("start", "f8", 3), ("r", "f8", 3),
+    ]
+)  # fmt: skip
+"""A visit of a sample: the local problem as the solver got it, the impulse it started from and its answer."""
+WIDTH = VISIT.itemsize // 8
+
+
+class VisitLog(NamedTuple):
+    """Filled in place by the sweeps; without contacts it records nothing."""
+
+    by_sweep: NDArray[np.int64]  # (sweeps, 6), see BY_SWEEP
+    by_contact: NDArray[np.int64]  # (n, statuses + 2): visits by status, changes of regime, last regime
+    visits: NDArray[np.float64]  # (capacity, WIDTH), rows of VISIT
+    failures: NDArray[np.float64]  # (capacity, WIDTH)
+    recent: NDArray[np.float64]  # (RECENT, 3n), sweep k in row k % RECENT
+    state: NDArray[np.int64]  # (4,): sweeps done, visits seen, failures seen, state of the random numbers
+
+
+def new_log(contacts: int, sweeps: int, capacity: int) -> VisitLog:
+    """An empty log for a run of at most `sweeps` sweeps; each sample holds up to `capacity` visits."""
+    by_contact = np.zeros((contacts, STATUSES + 2), dtype=np.int64)
+    by_contact[:, LAST_REGIME] = UNSEEN
+    return VisitLog(
+        np.zeros((sweeps, len(BY_SWEEP)), dtype=np.int64),
+        by_contact,
+        np.zeros((capacity, WIDTH)),
+        np.zeros((capacity, WIDTH)),
+        np.zeros((RECENT, 3 * contacts)),
+        np.array([0, 0, 0, 1]),
+    )
+
+
+def no_log() -> VisitLog:
+    """The log of a run that is not recorded."""
+    return new_log(0, 0, 0)
+
+
+def samples(log: VisitLog) -> tuple[NDArray[np.void], NDArray[np.void]]:
+    """The sampled visits, all and failed ones, as arrays of `VISIT`, in the order of the run."""
+    found = []
+    for rows, seen in ((log.visits, log.state[1]), (log.failures, log.state[2])):
+        kept = np.ascontiguousarray(rows[: min(int(seen), len(rows))]).view(VISIT).reshape(-1)
+        found.append(kept[np.lexsort((kept["contact"], kept["sweep"]))])
+    return found[0], found[1]
+
+
+@jit
+def place(state: NDArray[np.int64], seen: int, capacity: int) -> int:
+    """Where in a sample the next visit goes, given how many were seen; -1: nowhere."""
+    if seen < capacity:
+        return seen
+    state[3] = state[3] * 48271 % 2147483647  # [Park & Miller 1988]
+    slot = int(state[3] / 2147483647.0 * (seen + 1))
+    return slot if slot < capacity else -1
+
+
+@jit
+def store(row: NDArray[np.float64], head: Vector, tail: tuple[float, float], W: Matrix, b: Vector, mu: float,
+          old: Vector, new: Vector) -> None:  # fmt: skip
+    """Write a visit in the layout of `VISIT`."""
+    row[0], row[1], row[2], row[3], row[4] = head[0], head[1], head[2], tail[0], tail[1]
+    for k in range(3):
+        row[5 + k], row[8 + k], row[11 + k] = W[0][k], W[1][k], W[2][k]
+        row[14 + k], row[18 + k], row[21 + k] = b[k], old[k], new[k]
+    row[17] = mu
+
+
+@jit
+def record(log: VisitLog, i: int, status: int, iterations: int, regime: int, W: Matrix, b: Vector, mu: float,
+           old: Vector, new: Vector) -> None:  # fmt: skip
+    """Record the visit of contact i."""
+    sweep, counts = log.state[0], log.by_contact[i]
+    failed, switched = status != 0, counts[LAST_REGIME] not in (UNSEEN, regime)
+    counts[status] += 1
+    counts[SWITCHES] += switched
+    counts[LAST_REGIME] = regime
+    if sweep < len(log.by_sweep):
+        row = log.by_sweep[sweep]
+        row[regime] += 1
+        row[FAILURES] += failed
+        row[ITERATIONS] += iterations
+        row[CHANGES] += switched
+    for k in range(3):
+        log.recent[sweep % RECENT, 3 * i + k] = new[k]
+    head, tail = (float(sweep), float(i), float(status)), (float(iterations), float(regime))
+    slot = place(log.state, log.state[1], len(log.visits))
+    if slot >= 0:
+        store(log.visits[slot], head, tail, W, b, mu, old, new)
+    log.state[1] += 1
+    if failed:
+        slot = place(log.state, log.state[2], len(log.failures))
+        if slot >= 0:
+            store(log.failures[slot], head, tail, W, b, mu, old, new)
+        log.state[2] += 1
+
+
+@jit
+def end_sweep(log: VisitLog) -> None:
+    """The visits that follow belong to the next sweep."""
+    log.state[0] += 1
