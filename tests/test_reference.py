@@ -1,4 +1,4 @@
-"""The convex problem against cvxpy and its optimality conditions, Cadoux's fixed point, references, their store."""
+"""The convex problem against cvxpy and its optimality conditions, Cadoux's fixed point, references."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -13,13 +13,18 @@ from scipy.optimize import nnls
 
 from fibercontact.gauss_seidel.solver import GaussSeidel
 from fibercontact.local.registry import configure, registered
-from fibercontact.problem.fclib import Solution, read, write
-from fibercontact.problem.incremental import IncrementalProblem, ProblemError
+from fibercontact.problem.fclib import read
+from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.problem.step import StepProblem
-from fibercontact.reference import store
 from fibercontact.reference.cadoux import STAGES, Cadoux
-from fibercontact.reference.conic import associated, default_form, impulse_form, solve_convex, velocity_form
-from fibercontact.reference.store import stored_reference
+from fibercontact.reference.conic import (
+    associated,
+    default_form,
+    duality_gap,
+    impulse_form,
+    solve_convex,
+    velocity_form,
+)
 from fibercontact.reference.truth import NONE, polish, reference
 
 SHARED = Path(__file__).parents[2] / "shared" / "fclib"
@@ -138,7 +143,7 @@ def test_without_friction_it_is_a_non_negative_least_squares_problem(seed, form)
     step = strands(seed, mu=0.0)
     L = np.linalg.cholesky(step.M.toarray())
     r_N, _ = nnls(np.linalg.solve(L, step.H.toarray()[::3].T), np.linalg.solve(L, step.f))
-    r = associated(step, form).r.reshape(-1, 3)
+    r = solve_convex(step, np.zeros(step.n), form).r.reshape(-1, 3)
     np.testing.assert_allclose(r[:, 0], r_N, atol=1e-7 * r_N.max())
     assert (r[:, 1:] == 0.0).all()
 
@@ -151,6 +156,28 @@ def test_the_associated_model_is_not_coulombs():
     assert u[0] > 0.5
 
 
+@pytest.mark.parametrize("name", ["dense", "moving", "mixed mu"])
+def test_the_associated_answer_has_hardly_any_gap(name):
+    """Weak duality: the objective at `r`, ½ rᵀWr + bᵀr, is at most `gap · energy` above the least one."""
+    step = STEPS[name]
+    problem = step.condense()
+    answer = associated(step)
+    assert duality_gap(problem, answer.r) <= 1e-10
+    energy = 0.5 * answer.r @ (problem.W @ answer.r)
+    _, objective = cvxpy_velocities(step, np.zeros(step.n))
+    ours = step.velocities(answer.r)
+    assert 0.5 * ours @ (step.M @ ours) + step.f @ ours <= objective + 1e-6 * energy
+
+
+def test_impulses_that_are_not_optimal_have_a_gap():
+    """One contact, W = I, b = (-1, 0, 0), `r = (t, 0, 0)`: work `t (t - 1)` is left over; for t < 1 u leaves."""
+    problem = IncrementalProblem.from_sparse(np.eye(3), np.array([-1.0, 0.0, 0.0]), np.array([0.5]))
+    assert duality_gap(problem, np.array([2.0, 0.0, 0.0])) == pytest.approx(2.0 / 2.0)
+    assert duality_gap(problem, np.array([0.5, 0.0, 0.0])) == pytest.approx(0.25 / 0.125)
+    assert duality_gap(problem, np.array([1.0, 0.0, 0.0])) == 0.0
+    assert duality_gap(problem, np.array([np.nan, 0.0, 0.0])) == np.inf
+
+
 @pytest.mark.parametrize(
     "s", [np.zeros(3), np.full(8, -1.0), np.full(8, np.nan)], ids=["shape", "sign", "nan"]
 )
@@ -161,7 +188,7 @@ def test_a_bad_slip_term_is_refused(s):
 
 def test_the_velocity_form_needs_velocities():
     with pytest.raises(TypeError, match="StepProblem"):
-        associated(STEPS["stiff"].condense(), velocity_form)
+        velocity_form(STEPS["stiff"].condense())
 
 
 # Cadoux's fixed point
@@ -276,54 +303,3 @@ def test_polishing_goes_on_from_where_it_starts():
     again, note = polish(problem, r, 1e-12, 5.0)
     assert (again == r).all()
     assert note.startswith("0 sweeps")
-
-
-# The store
-
-
-def forbidden(*_):
-    raise AssertionError("computed again")
-
-
-def test_a_stored_reference_is_not_computed_again(tmp_path, monkeypatch):
-    step, path = STEPS["moving"], tmp_path / "references" / "one.hdf5"
-    first = stored_reference(path, step)
-    monkeypatch.setattr(store, "reference", forbidden)
-    again = stored_reference(path, step)
-    assert (again.r == first.r).all()
-    assert (again.method, again.residual, again.attempts) == (first.method, first.residual, first.attempts)
-    file = read(path)
-    np.testing.assert_allclose(file.solution.u, step.H @ file.solution.v + step.w, atol=1e-12)
-
-
-def test_a_reference_that_misses_the_bar_is_sought_again(tmp_path, monkeypatch):
-    path = tmp_path / "one.hdf5"
-    stored_reference(path, STEPS["dense"])
-    monkeypatch.setattr(store, "reference", forbidden)
-    with pytest.raises(AssertionError, match="computed again"):
-        stored_reference(path, STEPS["dense"], bar=1e-20)
-
-
-def test_what_a_file_claims_is_measured(tmp_path):
-    step, path = STEPS["dense"], tmp_path / "one.hdf5"
-    true = stored_reference(path, step)
-    write(path, step, title="Cadoux", description="[]", solution=Solution(r=1.01 * true.r))
-    assert stored_reference(path, step).residual <= 1e-10
-
-
-def test_none_is_believed_for_the_same_search_only(tmp_path, monkeypatch):
-    path = tmp_path / "one.hdf5"
-    first = stored_reference(path, squeezed(), max_seconds=0.3)
-    assert read(path).solution is None
-    monkeypatch.setattr(store, "reference", forbidden)
-    again = stored_reference(path, squeezed(), max_seconds=0.3)
-    assert (again.method, again.residual) == (NONE, first.residual)
-    with pytest.raises(AssertionError, match="computed again"):
-        stored_reference(path, squeezed(), max_seconds=0.4)
-
-
-def test_a_damaged_store_is_an_error(tmp_path):
-    path = tmp_path / "one.hdf5"
-    path.write_bytes(b"not HDF5")
-    with pytest.raises(ProblemError, match=r"one\.hdf5"):
-        stored_reference(path, STEPS["dense"])

@@ -1,12 +1,10 @@
 """Answers of the solvers compared with references: by residual, by velocities, by regime, by friction's work.
 
 Impulses are not unique and never compared. Velocities mostly are, and are compared in the norm of kinetic energy,
-`‖v − v_ref‖_M = ‖r − r_ref‖_W`, which needs no `M`; the error is relative to `‖v_ref‖_M`, or, where `M` is not known,
-to `‖r_ref‖_W`, the velocity that the contacts give. A large error beside a small residual means an ill-conditioned
-problem, or another solution: Coulomb's law may have several.
+see `reference.distance`. A large error beside a small residual means an ill-conditioned problem, or another solution:
+Coulomb's law may have several. Where several are known the nearest is compared with.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,10 +27,11 @@ from fibercontact.local.registry import Configured
 from fibercontact.problem.fclib import read
 from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.problem.measure import measure, relative
-from fibercontact.problem.step import StepProblem
-from fibercontact.reference.conic import Problem, associated, condensed
-from fibercontact.reference.store import stored_reference
-from fibercontact.reference.truth import NONE, Reference
+from fibercontact.reference.conic import Problem, associated, condensed, duality_gap
+from fibercontact.reference.distance import friction_work, velocity_error
+from fibercontact.reference.ground_truth import GroundTruth, Search
+from fibercontact.reference.store import Store
+from fibercontact.reference.truth import NONE
 
 __all__ = [
     "ASSOCIATED",
@@ -46,13 +45,11 @@ __all__ = [
     "compare",
     "contender",
     "draw_errors",
-    "friction_work",
     "notes",
     "reference_table",
     "regimes",
     "solver_table",
     "validate",
-    "velocity_error",
     "write_report",
 ]
 
@@ -61,7 +58,8 @@ Array = NDArray[np.float64]
 ASSOCIATED = "associated"
 """Name of the convex model `s = 0` among the solvers."""
 
-ACCURATE = ("Solved", "AlmostSolved")  # statuses of Clarabel that are good for any accuracy of the protocol
+SMALL_GAP = 1e-8
+"""Relative duality gap up to which the convex model counts as solved."""
 OPEN, STICK, SLIP = 0, 1, 2
 RESOLUTION = 1e-3  # share of b_ref below which a speed does not make a regime
 TINY = 1e-16  # what a zero is drawn as
@@ -119,7 +117,8 @@ def associated_model() -> Contender:
 
     def solve(problem: Problem) -> tuple[Array, Row]:
         answer = associated(problem)
-        return answer.r, {"law": ASSOCIATED, "solved": answer.status in ACCURATE, "outcome": answer.status}
+        gap = duality_gap(condensed(problem), answer.r)
+        return answer.r, {"law": ASSOCIATED, "solved": gap <= SMALL_GAP, "outcome": answer.status}
 
     return Contender(ASSOCIATED, "", solve)
 
@@ -130,16 +129,17 @@ def validate(
     folder: Path,
     listener: Listener,
     *,
-    bar: float = 1e-10,
-    max_seconds: float = 60.0,
+    references: Path,
+    search: Search,
     max_contacts: int = 300,
 ) -> Comparison:
     """Compare contenders with references on the problems of up to `max_contacts` contacts.
 
-    References go to `folder/references`, rows to `folder/rows.jsonl`, each as it comes; what is there already
-    is not computed again. `bar` and `max_seconds` are those of `reference`. Raises `ProblemError` on a file
-    that cannot be read, `BenchError` while another run writes to the folder.
+    Rows go to `folder/rows.jsonl`, references that are not in the file `references` yet beside that file, each as it
+    comes; what is there already is not computed again. Raises `ProblemError` on a file that cannot be read,
+    `StoreError` on references that cannot be, `BenchError` while another run writes to the folder.
     """
+    store = Store(references)
     file, result = RowFile(folder), Comparison([], [], [])
     known = {_key(row): row for row in file.read()}
     with file.appending():
@@ -152,8 +152,7 @@ def validate(
                 listener.note(result.skipped[-1])
             else:
                 listener.now(entry.name, "reference")
-                path = folder / "references" / f"{entry.hash}.hdf5"
-                truth = stored_reference(path, problem, bar, max_seconds)
+                truth = store.find(entry.hash, entry.name, problem, search)
                 result.references.append(_reference_row(entry, problem, truth))
                 for one in contenders:
                     listener.now(entry.name, one.name)
@@ -164,17 +163,18 @@ def validate(
                         file.append(row)
                     result.rows.append(row)
             listener.done(entry.name)
+    store.pack()
     return result
 
 
-def _head(entry: Entry, one: Contender, truth: Reference) -> Row:
+def _head(entry: Entry, one: Contender, truth: GroundTruth) -> Row:
     """What identifies a row."""
     return {
         "problem_hash": entry.hash,
         "solver": one.name,
         "identity": f"{_code()} {one.identity}",
-        "reference": truth.method,
-        "reference_residual": truth.residual,
+        "reference": truth.reference.method,
+        "reference_residual": truth.reference.residual,
         "problem": entry.name,
         "scene": entry.scene,
     }
@@ -192,24 +192,27 @@ def _code() -> str:
     return content_key([*(file for room in rooms for file in room.rglob("*.py")), Path(__file__)])
 
 
-def _reference_row(entry: Entry, problem: Problem, truth: Reference) -> Row:
+def _reference_row(entry: Entry, problem: Problem, truth: GroundTruth) -> Row:
     return {
         "problem": entry.name,
         "contacts": problem.n,
-        "reference": truth.method,
-        "residual": truth.residual,
-        "seconds": sum(attempt.seconds for attempt in truth.attempts),
+        "existence": truth.existence.verdict,
+        "reference": truth.reference.method,
+        "residual": truth.reference.residual,
+        "solutions": 1 + len(truth.uniqueness.others),
     }
 
 
-def _compared(problem: Problem, one: Contender, truth: Reference) -> Row:
+def _compared(problem: Problem, one: Contender, truth: GroundTruth) -> Row:
     """The answer of a contender, measured; compared with the reference if there is one."""
     r, account = one.solve(problem)
     incremental = condensed(problem)
     found = measure(incremental, r)
     row = {"contacts": problem.n, **account, "coulomb": found.coulomb, "created_power": found.created_power}
-    if truth.accepted and np.isfinite(r).all():
-        row |= compare(problem, incremental, r, truth.r)
+    if truth.reference.accepted and np.isfinite(r).all():
+        known = (truth.reference.r, *truth.uniqueness.others)
+        nearest = min(known, key=lambda r_ref: velocity_error(problem, r, r_ref))
+        row |= compare(problem, incremental, r, nearest)
     return row
 
 
@@ -219,28 +222,12 @@ def compare(problem: Problem, incremental: IncrementalProblem, r: Array, r_ref: 
     same = regimes(incremental, u) == regimes(incremental, u_ref)
     work, work_ref = friction_work(u, r), friction_work(u_ref, r_ref)
     return {
-        "velocity_error": velocity_error(problem, incremental, r, r_ref),
+        "velocity_error": velocity_error(problem, r, r_ref),
         "same_regime": float(same.mean()) if len(same) else 1.0,
         "friction_work": work,
         "reference_friction_work": work_ref,
         "friction_work_error": relative(abs(work - work_ref), work_ref),
     }
-
-
-def velocity_error(problem: Problem, incremental: IncrementalProblem, r: Array, r_ref: Array) -> float:
-    """Distance of the velocities of `r` (3n,) from those of `r_ref` (3n,), see the module's docstring.
-
-    Relative; absolute, in the square root of a joule, when the reference is at rest.
-    """
-    if isinstance(problem, StepProblem):
-        v, v_ref = problem.velocities(r), problem.velocities(r_ref)
-        return relative(_norm(problem.M, v - v_ref), _norm(problem.M, v_ref))
-    return relative(_norm(incremental.W, r - r_ref), _norm(incremental.W, r_ref))
-
-
-def _norm(A: Any, x: Array) -> float:
-    """`‖x‖_A`; rounding may make the square of a zero negative."""
-    return math.sqrt(max(float(x @ (A @ x)), 0.0))
 
 
 def regimes(problem: IncrementalProblem, u: Array) -> NDArray[np.int64]:
@@ -251,12 +238,6 @@ def regimes(problem: IncrementalProblem, u: Array) -> NDArray[np.int64]:
     u, least = u.reshape(-1, 3), RESOLUTION * (problem.b_ref or 1.0)
     slides = np.where(np.hypot(u[:, 1], u[:, 2]) > least, SLIP, STICK)
     return np.where(u[:, 0] > least, OPEN, slides)
-
-
-def friction_work(u: Array, r: Array) -> float:
-    """Energy in J that friction dissipates, `Σ max(−u_T·r_T, 0)`: what it creates is measured apart."""
-    power = -np.einsum("ij,ij->i", u.reshape(-1, 3)[:, 1:], r.reshape(-1, 3)[:, 1:])
-    return float(np.maximum(power, 0.0).sum())
 
 
 SOLVER_COLUMNS = [
@@ -300,13 +281,16 @@ def reference_table(comparison: Comparison) -> pd.DataFrame:
         [
             row["problem"],
             str(row["contacts"]),
+            row["existence"],
             row["reference"],
             number(row["residual"]),
-            number(row["seconds"]),
+            str(row["solutions"]),
         ]
         for row in comparison.references
     ]
-    return pd.DataFrame(lines, columns=["problem", "contacts", "reference", "residual", "seconds"])
+    return pd.DataFrame(
+        lines, columns=["problem", "contacts", "existence", "reference", "residual", "solutions"]
+    )
 
 
 def _frame(comparison: Comparison) -> pd.DataFrame:

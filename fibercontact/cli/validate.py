@@ -9,11 +9,10 @@ import typer
 
 from fibercontact.bench.protocol import ACCURACIES, DEFAULT_SOLVERS
 from fibercontact.cli.errors import check_known, user_errors
+from fibercontact.cli.screen import print_table, screen
 from fibercontact.cli.solvers import Plugins, split_solvers
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-    from rich.console import Console
     from rich.progress import Progress, TaskID
 
     from fibercontact.bench.validate import Comparison, Contender, Listener
@@ -37,10 +36,10 @@ def validate(
         str, typer.Option(help=f"What the solvers stop at: {', '.join(ACCURACIES)}.")
     ] = "mid",
     max_contacts: Annotated[int, typer.Option(help="Larger problems are skipped.", min=0)] = 300,
-    bar: Annotated[
-        float, typer.Option(help="Residual that a reference must meet.", min=1e-15, max=1.0)
-    ] = 1e-10,
-    max_seconds: Annotated[float, typer.Option(help="Seconds to look for a reference.", min=0.1)] = 60.0,
+    references: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="References; SET.references.hdf5 beside the set by default."),
+    ] = None,
     limit: Annotated[
         int | None, typer.Option(help="Only so many problems, spread over the set: a trial.", min=1)
     ] = None,
@@ -50,10 +49,10 @@ def validate(
 ) -> None:
     """Compare the solvers' answers with references: residual, velocities, regimes, work of friction.
 
-    A reference is the fixed point of convex problems (Cadoux), polished, and accepted by its residual alone;
-    problems without one are listed as `none`. References and rows are written as they come: the same command
-    continues a run that was interrupted. The run folder gets the rows (CSV), the tables (Markdown) and a
-    figure of velocity error against residual.
+    References that are not stored yet are looked for (`fibercontact reference` does it in parallel); problems without
+    one are listed as `none`. References and rows are written as they come: the same command continues a run
+    that was interrupted. The run folder gets the rows (CSV), the tables (Markdown) and a figure of velocity error
+    against residual.
 
     For example:
 
@@ -64,7 +63,9 @@ def validate(
     with user_errors():
         check_known("accuracy", [accuracy], list(ACCURACIES))
         from fibercontact.bench.problem_set import find_set, limited, load_set
+        from fibercontact.bench.references import references_file
         from fibercontact.bench.validate import validate as compare
+        from fibercontact.reference.ground_truth import Search
 
         folder = find_set(problems)
         entries = limited(load_set(folder), limit)
@@ -77,8 +78,8 @@ def validate(
                     contenders,
                     out,
                     listener,
-                    bar=bar,
-                    max_seconds=max_seconds,
+                    references=references or references_file(folder),
+                    search=Search(),
                     max_contacts=max_contacts,
                 )
         except KeyboardInterrupt:
@@ -125,26 +126,13 @@ class _Bar:
 
 
 def _finish(comparison: "Comparison", folder: Path) -> None:
-    import sys
-
-    from rich.console import Console
-
     from fibercontact.bench.validate import notes, reference_table, solver_table, write_report
 
-    console = Console(width=None if sys.stdout.isatty() else 200)
+    console = screen()
     if comparison.references:
         files = write_report(comparison, folder)
-        _print(console, "references", reference_table(comparison))
-        _print(console, "solvers against references", solver_table(comparison))
+        print_table(console, "references", reference_table(comparison))
+        print_table(console, "solvers against references", solver_table(comparison))
         typer.echo(f"{folder}: {', '.join(file.name for file in files)}")
     for note in notes(comparison):
         console.print(f"• {note}", markup=False, highlight=False)
-
-
-def _print(console: "Console", title: str, table: "DataFrame") -> None:
-    from rich.table import Table
-
-    grid = Table(*table.columns, title=title, title_justify="left")
-    for line in table.itertuples(index=False):
-        grid.add_row(*map(str, line))
-    console.print(grid)

@@ -26,7 +26,7 @@ from fibercontact.problem.incremental import (
 )
 from fibercontact.problem.step import StepProblem, condense_constrained
 
-__all__ = ["FclibFile", "Solution", "read", "write"]
+__all__ = ["FclibFile", "Solution", "read", "replace_file", "write"]
 
 F64 = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -107,7 +107,7 @@ def write(
         _write_guesses(file, problem, guesses)
         if solution is not None:
             _write_solution(file.create_group("solution"), problem, solution)
-    _replace(Path(path), image.getvalue())
+    replace_file(Path(path), image.getvalue())
 
 
 # Writing
@@ -188,7 +188,7 @@ def _write_array(group: h5py.Group, name: str, values: NDArray[Any]) -> None:
     )
 
 
-def _replace(path: Path, content: bytes) -> None:
+def replace_file(path: Path, content: bytes) -> None:
     """Put `content` into the file in one step: an interruption leaves the old file or the new one."""
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     temporary = Path(name)

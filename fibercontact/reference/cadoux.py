@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fibercontact.gauss_seidel.anderson import Acceleration, Memory, extrapolate, remember
+from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.problem.measure import measure
 from fibercontact.reference.conic import Form, Problem, condensed, default_form
 
-__all__ = ["STAGES", "Cadoux", "CadouxRun", "Stage"]
+__all__ = ["STAGES", "Cadoux", "CadouxRun", "Stage", "sliding_speed"]
 
 Array = NDArray[np.float64]
 
@@ -60,11 +61,12 @@ class Cadoux:
     max_seconds: float = 30.0
     stages: tuple[Stage, ...] = STAGES
 
-    def solve(self, problem: Problem) -> CadouxRun:
-        """Iterate from `s = 0`, the associated model."""
+    def solve(self, problem: Problem, slip: Array | None = None) -> CadouxRun:
+        """Iterate from the slip term `slip` (n,) >= 0 in m/s; by default from zero, the associated model."""
         began = time.perf_counter()
         incremental, model = condensed(problem), self.form(problem)
-        best, k, s = CadouxRun(np.zeros(3 * problem.n), math.inf, 0, "not started"), 0, np.zeros(problem.n)
+        best, k = CadouxRun(np.zeros(3 * problem.n), math.inf, 0, "not started"), 0
+        s = np.zeros(problem.n) if slip is None else slip
         for stage in self.stages:
             memory, level, stale = Acceleration(window=stage.window).memory(problem.n), math.inf, 0
             while stale < PATIENCE:
@@ -78,11 +80,16 @@ class Cadoux:
                 if least <= self.tolerance or not math.isfinite(residual):
                     return best
                 level, stale = (residual, 0) if residual <= 0.5 * level else (level, stale + 1)
-                u = (incremental.W @ answer.r + incremental.b).reshape(-1, 3)
-                s = _next(s, np.hypot(u[:, 1], u[:, 2]), residual, stage, memory)
+                s = _next(s, sliding_speed(incremental, answer.r), residual, stage, memory)
             if best.residual <= FLOOR:
                 break
         return best
+
+
+def sliding_speed(problem: IncrementalProblem, r: Array) -> Array:
+    """`‖u_T‖` (n,) in m/s under the impulses `r` (3n,)."""
+    u = (problem.W @ r + problem.b).reshape(-1, 3)
+    return np.hypot(u[:, 1], u[:, 2])
 
 
 def _next(s: Array, slip: Array, residual: float, stage: Stage, memory: Memory) -> Array:

@@ -31,6 +31,7 @@ __all__ = [
     "associated",
     "condensed",
     "default_form",
+    "duality_gap",
     "impulse_form",
     "solve_convex",
     "velocity_form",
@@ -76,10 +77,17 @@ class ConvexModel:
 
     def solve(self, s: Array, max_seconds: float = math.inf) -> ConvexAnswer:
         """Solve for the slip term `s` (n,) >= 0 in m/s. Impulses of a failed solve may be bad or not finite."""
-        slip = np.zeros_like(self.S)
-        slip[::3] = self.mu * s * self.S[::3] / self.beta
+        return self.solve_shifted(self.mu * s, max_seconds)
+
+    def solve_shifted(self, shift: Array, max_seconds: float = math.inf) -> ConvexAnswer:
+        """Solve for any normal velocity `shift` (n,) in m/s in the place of `mu s`, negative ones too.
+
+        Without a feasible velocity `r` is a Farkas certificate: in the cones, `Hᵀ r = 0`, `(b + shift)ᵀ r < 0`.
+        """
+        normal = np.zeros_like(self.S)
+        normal[::3] = shift * self.S[::3] / self.beta
         p = self.program
-        q, h = (p.q + slip, p.h) if p.impulse else (p.q, p.h + slip)
+        q, h = (p.q + normal, p.h) if p.impulse else (p.q, p.h + normal)
         if self.solver is None:
             cones = [clarabel.SecondOrderConeT(3)] * len(self.mu)
             P, A = csc_matrix(triu(p.P)), csc_matrix(-p.A)
@@ -135,9 +143,32 @@ def solve_convex(problem: Problem, s: Array, form: Form = default_form) -> Conve
     return form(problem).solve(s)
 
 
-def associated(problem: Problem, form: Form = default_form) -> ConvexAnswer:
-    """Solve the associated (convexified) model, `s = 0`: `K_mu* ∋ u ⟂ r ∈ K_mu`, which is not Coulomb's law."""
-    return solve_convex(problem, np.zeros(problem.n), form)
+def associated(problem: Problem, bar: float = 1e-10) -> ConvexAnswer:
+    """Solve the associated (convexified) model, `s = 0`: `K_mu* ∋ u ⟂ r ∈ K_mu`, which is not Coulomb's law.
+
+    In velocities where they are known, and in impulses too if that leaves a duality gap above `bar` (see
+    `duality_gap`): the answer with the smaller gap.
+    """
+    incremental, none = condensed(problem), np.zeros(problem.n)
+    answer = solve_convex(problem, none)
+    if isinstance(problem, StepProblem) and duality_gap(incremental, answer.r) > bar:
+        other = solve_convex(problem, none, impulse_form)
+        return min(answer, other, key=lambda a: duality_gap(incremental, a.r))
+    return answer
+
+
+def duality_gap(problem: IncrementalProblem, r: Array) -> float:
+    """How far the impulses `r` (3n,) are from optimal in the associated model, relative to `½ rᵀW r`, the energy.
+
+    The larger of `|rᵀu|`, which is the gap if `u ∈ K_mu*` and `r ∈ K_mu`, and of the work `r_N·violation` by which
+    u leaves those cones; infinite when not finite.
+    """
+    u = problem.W @ r + problem.b
+    outside = np.maximum(problem.mu * np.hypot(u[1::3], u[2::3]) - u[::3], 0.0)
+    work = max(abs(float(r @ u)), float(np.abs(r[::3]) @ outside))
+    energy = 0.5 * float(r @ (u - problem.b))
+    gap = work / energy if energy > 0.0 else work
+    return gap if math.isfinite(gap) else math.inf
 
 
 def _scaling(problem: IncrementalProblem) -> tuple[Array, float]:

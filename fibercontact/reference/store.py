@@ -1,60 +1,163 @@
-"""References kept on disk as FCLIB files: accepted ones as `solution`, the best of the others as a guess."""
+"""Ground truth on disk: one HDF5 file a set, beside the set and never in it, a group a problem.
 
+    HASH/                 attributes: name, contacts, sought, seconds; existence, margin; method, residual,
+                          attempts (JSON); gap; tried, reached, distance
+        solution/ u r     FCLIB's group, with v where velocities are known; `best_known/` if the bar was missed
+        certificate       (3n,) of existence
+        associated/ r     the convexified law's
+        others/K/ r       solutions with velocities of their own
+
+HASH is the start of the SHA-256 of the problem's file. While a set is worked on, each problem is a file of its own in
+a folder beside that file, so that nothing is lost when the run ends at any instant; `pack` puts them together.
+Nothing is believed: residual and certificate are computed anew when a group is read.
+"""
+
+import io
 import json
+import shutil
 from dataclasses import asdict
 from pathlib import Path
 
-from fibercontact.problem.fclib import Solution, read, write
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from fibercontact.errors import UserError
+from fibercontact.problem.fclib import replace_file
 from fibercontact.problem.measure import measure
 from fibercontact.problem.step import StepProblem
-from fibercontact.reference.conic import Problem, condensed
-from fibercontact.reference.truth import NONE, Attempt, Reference, reference
+from fibercontact.reference.conic import Problem, condensed, duality_gap
+from fibercontact.reference.existence import UNDECIDED, Existence, recheck
+from fibercontact.reference.ground_truth import GroundTruth, Search, ground_truth
+from fibercontact.reference.truth import NONE, Attempt, Reference
+from fibercontact.reference.uniqueness import Uniqueness
 
-__all__ = ["stored_reference"]
+__all__ = ["Store", "StoreError"]
 
-
-def stored_reference(
-    path: Path, problem: Problem, bar: float = 1e-10, max_seconds: float = 60.0
-) -> Reference:
-    """Read the reference of `problem` from a file, or find it and write it there.
-
-    A file is believed by the residual of its impulses, measured anew; that there is no reference is believed
-    when it was sought with the same bar and time. Raises `ProblemError` on a file that cannot be read, or
-    that is about another problem.
-    """
-    sought = f"bar {bar:g}, {max_seconds:g} s"
-    if path.exists() and (found := _load(path, problem, bar, sought)) is not None:
-        return found
-    found = reference(problem, bar, max_seconds)
-    _save(path, problem, found, sought)
-    return found
+Array = NDArray[np.float64]
 
 
-def _load(path: Path, problem: Problem, bar: float, sought: str) -> Reference | None:
-    file = read(path)
-    claim = file.solution or (file.guesses[0] if file.guesses else None)
-    if claim is None or claim.r is None or claim.r.shape != (3 * problem.n,):
+class StoreError(UserError):
+    """A file of references that cannot be read or written; the message names it and the fault."""
+
+
+class Store:
+    """The references of one set: `file`, and the parts of a run that has not been packed."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        self.parts = file.with_name(f"{file.stem}.parts")
+
+    def get(self, key: str, problem: Problem, search: Search) -> GroundTruth | None:
+        """What is stored of a problem, if it will do for the search: its bar is met, or was sought as hard."""
+        for path in (self.parts / f"{key}.hdf5", self.file):
+            if path.exists() and (found := _read(path, key, problem, search)) is not None:
+                return found
         return None
-    residual = measure(condensed(problem), claim.r).coulomb
-    attempts = tuple(Attempt(**fields) for fields in json.loads(file.description))
-    if file.solution is not None and residual <= bar:
-        return Reference(claim.r, residual, file.title, attempts)
-    if file.solution is None and file.math_info == sought:
-        return Reference(claim.r, residual, NONE, attempts)
-    return None
+
+    def find(self, key: str, name: str, problem: Problem, search: Search) -> GroundTruth:
+        """What is stored, or else what is found now, which is stored then."""
+        known = self.get(key, problem, search)
+        if known is None:
+            known = ground_truth(problem, search)
+            self.put(key, name, problem, known, search)
+        return known
+
+    def put(self, key: str, name: str, problem: Problem, found: GroundTruth, search: Search) -> None:
+        """Write the part of one problem, whole or not at all."""
+        image = io.BytesIO()
+        with h5py.File(image, "w", libver=("v110", "v110")) as file:
+            _write(file.create_group(key), name, problem, found, search)
+        self.parts.mkdir(parents=True, exist_ok=True)
+        replace_file(self.parts / f"{key}.hdf5", image.getvalue())
+
+    def pack(self) -> None:
+        """Move the parts into the file, which is replaced whole; parts go before what it held."""
+        parts = sorted(self.parts.glob("*.hdf5")) if self.parts.is_dir() else []
+        if not parts:
+            return
+        image = io.BytesIO()
+        with h5py.File(image, "w", libver=("v110", "v110")) as target:
+            for path in [*parts, *([self.file] if self.file.exists() else [])]:
+                with _opened(path) as source:
+                    for key in sorted(set(source) - set(target)):
+                        source.copy(key, target)
+        replace_file(self.file, image.getvalue())
+        shutil.rmtree(self.parts)
 
 
-def _save(path: Path, problem: Problem, found: Reference, sought: str) -> None:
-    v = problem.velocities(found.r) if isinstance(problem, StepProblem) else None
+def _write(group: h5py.Group, name: str, problem: Problem, found: GroundTruth, search: Search) -> None:
+    exists, truth, unique = found.existence, found.reference, found.uniqueness
+    group.attrs.update(
+        name=name, contacts=problem.n, sought=str(search), seconds=found.seconds,
+        existence=exists.verdict, margin=exists.margin,
+        method=truth.method, residual=truth.residual,
+        attempts=json.dumps([asdict(attempt) for attempt in truth.attempts]),
+        gap=found.gap, tried=unique.tried, reached=unique.reached, distance=unique.distance,
+    )  # fmt: skip
+    _write_answer(group.create_group("solution" if truth.accepted else "best_known"), problem, truth.r)
+    _write_array(group, "associated/r", found.associated)
+    _write_array(group, "certificate", exists.certificate)
+    for k, r in enumerate(unique.others):
+        _write_array(group, f"others/{k}/r", r)
+
+
+def _write_answer(group: h5py.Group, problem: Problem, r: Array) -> None:
     incremental = condensed(problem)
-    answer = Solution(v=v, u=incremental.W @ found.r + incremental.b, r=found.r)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write(
-        path,
-        problem,
-        title=found.method,
-        description=json.dumps([asdict(attempt) for attempt in found.attempts]),
-        math_info=sought,
-        solution=answer if found.accepted else None,
-        guesses=() if found.accepted else (answer,),
+    if isinstance(problem, StepProblem):
+        _write_array(group, "v", problem.velocities(r))
+    _write_array(group, "u", incremental.W @ r + incremental.b)
+    _write_array(group, "r", r)
+
+
+def _write_array(group: h5py.Group, name: str, values: Array) -> None:
+    group.create_dataset(name, data=values, compression="gzip", shuffle=True, fletcher32=True)
+
+
+def _read(path: Path, key: str, problem: Problem, search: Search) -> GroundTruth | None:
+    """The group of a problem, measured anew; None when there is none or it will not do."""
+    with _opened(path) as file:
+        if key not in file:
+            return None
+        try:
+            return _believed(file[key], problem, search)
+        except (KeyError, ValueError, TypeError, OSError) as fault:
+            raise StoreError(f"{path}: group {key}: {fault}; delete it to have it made again") from None
+
+
+def _believed(group: h5py.Group, problem: Problem, search: Search) -> GroundTruth | None:
+    incremental, says = condensed(problem), dict(group.attrs)
+    accepted = "solution" in group
+    r = _vector(group, "solution/r" if accepted else "best_known/r", problem)
+    residual = measure(incremental, r).coulomb
+    same_search = says["sought"] == str(search)
+    if residual > search.bar and (accepted or not same_search):
+        return None
+    if residual <= search.bar and search.starts > int(says["tried"]) and problem.mu.any():
+        return None
+    attempts = tuple(Attempt(**fields) for fields in json.loads(says["attempts"]))
+    certificate, associated = _vector(group, "certificate", problem), _vector(group, "associated/r", problem)
+    margin = recheck(incremental, says["existence"], certificate)
+    others = tuple(_vector(group, f"others/{k}/r", problem) for k in sorted(group.get("others", ()), key=int))
+    return GroundTruth(
+        Existence(says["existence"] if margin > 0.0 else UNDECIDED, certificate, margin),
+        Reference(r, residual, says["method"] if residual <= search.bar else NONE, attempts),
+        associated,
+        duality_gap(incremental, associated),
+        Uniqueness(int(says["tried"]), int(says["reached"]), float(says["distance"]), others),
+        float(says["seconds"]),
     )
+
+
+def _vector(group: h5py.Group, name: str, problem: Problem) -> Array:
+    values = np.asarray(group[name], dtype=np.float64)
+    if values.shape != (3 * problem.n,):
+        raise ValueError(f"{name} has shape {values.shape}, not ({3 * problem.n},)")
+    return values
+
+
+def _opened(path: Path) -> h5py.File:
+    try:
+        return h5py.File(path, "r")
+    except OSError as fault:
+        raise StoreError(f"{path}: not a readable HDF5 file ({fault})") from None

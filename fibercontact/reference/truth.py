@@ -1,17 +1,18 @@
 """References: answers accurate enough to judge others by, accepted by their residual alone (THEORY §5).
 
-Clarabel floors at residuals of 1e-6 to 1e-9, so every candidate is finished by accelerated proximal sweeps with the
-`secular` local solver. Candidates, in order, until one is accepted:
+Candidates, in order, until one is accepted; each but the first ends in accelerated proximal sweeps with the `secular`
+local solver, because Clarabel floors at residuals of 1e-6 to 1e-10:
 
 1. `no impulse`, `r = 0`: free.
-2. `Cadoux` (in velocities where they are known) and sweeps: independent of the solvers that references judge, one or
-   two seconds for 250 contacts, and on hair-like problems it starts the sweeps where hundreds of them converge;
-   from zero they stall on some at 1e-5.
-3. `sweeps` from zero: some problems on which Cadoux's loop stalls.
-4. `Cadoux in impulses` and sweeps, where 2. was in velocities: up to ten times slower, but on nearly infeasible
-   problems the first slip terms spoil the velocity form only.
+2. `sweeps` from zero, for a short time: what most problems need, in the tenth part of the time of 3.
+3. `Cadoux`, in velocities where they are known: jammed and ill-conditioned problems, on which sweeps from zero stall,
+   for it starts the sweeps where hundreds of them converge.
+4. `Cadoux in impulses`, where 3. was in velocities: slower, but it floors lower, and without friction the
+   velocity form is spoiled by inactive contacts.
+5. `sweeps`, for long.
 
-`none` is an answer too: then the best candidate is kept with its residual, and is not the truth.
+`none` is an answer too: then the best candidate is kept with its residual, and is not the truth. What each candidate
+solves alone is measured by `experiments/reference_methods.py`.
 """
 
 import time
@@ -27,7 +28,7 @@ from fibercontact.local.registry import configure, registered
 from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.problem.measure import measure
 from fibercontact.problem.step import StepProblem
-from fibercontact.reference.cadoux import Cadoux
+from fibercontact.reference.cadoux import Cadoux, sliding_speed
 from fibercontact.reference.conic import Form, Problem, condensed, default_form, impulse_form
 
 __all__ = ["NONE", "Attempt", "Reference", "polish", "reference"]
@@ -36,6 +37,8 @@ Array = NDArray[np.float64]
 
 NONE = "none"
 MARGIN = 0.01  # share of the bar that candidates aim at
+SHORT_SECONDS = 2.0  # of the first sweeps
+POLISH_SECONDS = 10.0
 
 
 @dataclass(frozen=True)
@@ -67,16 +70,19 @@ class Reference:
         return self.method != NONE
 
 
-def reference(problem: Problem, bar: float = 1e-10, max_seconds: float = 60.0) -> Reference:
+def reference(
+    problem: Problem, bar: float = 1e-10, max_seconds: float = 120.0, start: Array | None = None
+) -> Reference:
     """Find a reference whose residual is at most `bar`, `none` if `max_seconds` or so do not suffice.
 
-    Raises `ProblemError` if the `M` of a step is not positive definite.
+    Sweeps begin at the impulses `start` (3n,), Cadoux's loop at the sliding speeds that they leave; at zero by
+    default, both of them. Raises `ProblemError` if the `M` of a step is not positive definite.
     """
     incremental = condensed(problem)
     polish(incremental, None, np.inf, 0.0)  # compiles: before the clock starts
     best, least, attempts = np.zeros(3 * problem.n), np.inf, []
     began = time.perf_counter()
-    for method, r, note in _candidates(problem, incremental, MARGIN * bar, max_seconds):
+    for method, r, note in _candidates(problem, incremental, MARGIN * bar, max_seconds, start):
         residual, now = measure(incremental, r).coulomb, time.perf_counter()
         attempts.append(Attempt(method, residual, now - began, note))
         began = now
@@ -104,23 +110,25 @@ def polish(
 
 
 def _candidates(
-    problem: Problem, incremental: IncrementalProblem, target: float, max_seconds: float
+    problem: Problem, incremental: IncrementalProblem, target: float, max_seconds: float, start: Array | None
 ) -> Iterator[tuple[str, Array, str]]:
     """Candidates with their names and notes, computed one at a time as they are asked for."""
-    in_velocities = isinstance(problem, StepProblem)
-    share = max_seconds / (5 if in_velocities else 3)
-    yield "no impulse", np.zeros(3 * problem.n), ""
-    yield "Cadoux", *_polished_cadoux(problem, incremental, default_form, target, share)
-    yield "sweeps", *polish(incremental, None, target, share)
-    if in_velocities:
-        yield "Cadoux in impulses", *_polished_cadoux(problem, incremental, impulse_form, target, share)
+    share = 0.25 * max_seconds
+    slip = np.zeros(problem.n) if start is None else sliding_speed(incremental, start)
+    if start is None:
+        yield "no impulse", np.zeros(3 * problem.n), ""
+    yield "sweeps", *polish(incremental, start, target, min(SHORT_SECONDS, share))
+    yield "Cadoux", *_polished_cadoux(problem, incremental, default_form, slip, target, share)
+    if isinstance(problem, StepProblem):
+        yield "Cadoux in impulses", *_polished_cadoux(problem, incremental, impulse_form, slip, target, share)
+    yield "long sweeps", *polish(incremental, start, target, share)
 
 
 def _polished_cadoux(
-    problem: Problem, incremental: IncrementalProblem, form: Form, target: float, share: float
+    problem: Problem, incremental: IncrementalProblem, form: Form, slip: Array, target: float, share: float
 ) -> tuple[Array, str]:
-    run = Cadoux(form, target, max_seconds=share).solve(problem)
-    r, note = polish(incremental, run.r, target, share)
+    run = Cadoux(form, target, max_seconds=share).solve(problem, slip)
+    r, note = polish(incremental, run.r, target, min(POLISH_SECONDS, share))
     return (
         r,
         f"{run.residual:.1e} after {run.iterations} iterations ({run.stage}), {note}",
