@@ -1,5 +1,6 @@
 """Ground truth for a whole set, in parallel, stored problem by problem, and what it says in one table."""
 
+import math
 import multiprocessing
 import signal
 import warnings
@@ -138,7 +139,7 @@ def describe(problem: Problem, found: GroundTruth) -> Row:
 
 
 def _cost_of_convexity(problem: Problem, r: Array, r_ref: Array) -> Row:
-    """How far the associated model's answer is from Coulomb's: velocities, friction's work, lift-off speed.
+    """How far the associated model's answer is from Coulomb's: velocities, friction's work in J, lift-off speed.
 
     The last is the largest `u_N` at a contact that transmits an impulse, relative to `b_ref`: none, by Coulomb's law.
     """
@@ -148,7 +149,8 @@ def _cost_of_convexity(problem: Problem, r: Array, r_ref: Array) -> Row:
     closed = size > TRIFLE * size.max(initial=0.0)
     return {
         "associated_velocity_error": velocity_error(problem, r, r_ref),
-        "associated_work": relative(friction_work(u, r), friction_work(u_ref, r_ref)),
+        "friction_work": friction_work(u_ref, r_ref),
+        "associated_friction_work": friction_work(u, r),
         "associated_lift_off": relative(float(u[::3][closed].max(initial=0.0)), incremental.b_ref),
     }
 
@@ -156,8 +158,8 @@ def _cost_of_convexity(problem: Problem, r: Array, r_ref: Array) -> Row:
 def reference_frame(rows: Sequence[Row]) -> pd.DataFrame:
     """Tidy rows; what is not known is empty."""
     names = ["problem", "scene", "hash", "contacts", "existence", "margin", "reference", "residual", "attempts",
-             "seconds", "associated_gap", "associated_velocity_error", "associated_work", "associated_lift_off",
-             "starts", "starts_reached", "solutions", "distance"]  # fmt: skip
+             "seconds", "associated_gap", "associated_velocity_error", "friction_work", "associated_friction_work",
+             "associated_lift_off", "starts", "starts_reached", "solutions", "distance"]  # fmt: skip
     return pd.DataFrame(list(rows), columns=names)
 
 
@@ -176,18 +178,24 @@ def _line(name: str, rows: pd.DataFrame) -> dict[str, str]:
     return {
         "scene": name,
         "problems": str(len(rows)),
-        "solvable / unsolvable / undecided": " / ".join(
+        "solution exists: yes / no / ?": " / ".join(
             str(existence.get(verdict, 0)) for verdict in (SOLVABLE, UNSOLVABLE, UNDECIDED)
         ),
         "references": str(int(accepted.sum())),
-        "largest residual": number(rows["residual"][accepted].max()),
+        "residual ≤": number(rows["residual"][accepted].max()),
         "several solutions": str(several),
-        "associated: largest gap": number(rows["associated_gap"].max()),
-        "velocities off by: median / largest": _two(rows["associated_velocity_error"]),
-        "friction's work, relative: median": number(rows["associated_work"].median()),
-        "lift-off speed: median / largest": _two(rows["associated_lift_off"]),
+        "gap ≤": number(rows["associated_gap"].max()),
+        "velocity error": _two(rows["associated_velocity_error"]),
+        "friction's work": number(
+            _ratio(rows["associated_friction_work"].sum(), rows["friction_work"].sum())
+        ),
+        "lift-off speed": _two(rows["associated_lift_off"]),
         "seconds": number(rows["seconds"].sum()),
     }
+
+
+def _ratio(part: float, whole: float) -> float:
+    return part / whole if whole > 0.0 else math.nan
 
 
 def _two(values: pd.Series) -> str:
@@ -201,8 +209,9 @@ def reference_notes(rows: pd.DataFrame) -> list[str]:
     said = [
         f"{int((accepted & solvable).sum())} of {int(solvable.sum())} solvable problems have a reference: "
         + ", ".join(f"{name} {count}" for name, count in methods.items()),
-        "associated: the convexified law, s = 0; velocities by kinetic energy, relative to the reference; work of "
-        "friction as a share of Coulomb's; lift-off speed where an impulse is transmitted, relative to b",
+        "the four last figures are of the associated (convexified) law, s = 0: its relative duality gap, and beside "
+        "the reference its velocity error (kinetic energy, median / largest), friction's work over all problems, "
+        "lift-off speed where an impulse is transmitted, relative to b (median / largest)",
     ]
     several = rows[rows["solutions"] > 1]
     if len(several):

@@ -7,8 +7,8 @@ local solver, because Clarabel floors at residuals of 1e-6 to 1e-10:
 2. `sweeps` from zero, for a short time: what most problems need, in the tenth part of the time of 3.
 3. `Cadoux`, in velocities where they are known: jammed and ill-conditioned problems, on which sweeps from zero stall,
    for it starts the sweeps where hundreds of them converge.
-4. `Cadoux in impulses`, where 3. was in velocities: slower, but it floors lower, and without friction the
-   velocity form is spoiled by inactive contacts.
+4. `sharp Cadoux`, in impulses and with hardly any regularisation: it floors lower on the most ill-conditioned
+   problems, and without friction, where the velocity form is spoiled by inactive contacts.
 5. `sweeps`, for long.
 
 `none` is an answer too: then the best candidate is kept with its residual, and is not the truth. What each candidate
@@ -27,9 +27,8 @@ from fibercontact.gauss_seidel.solver import GaussSeidel
 from fibercontact.local.registry import configure, registered
 from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.problem.measure import measure
-from fibercontact.problem.step import StepProblem
 from fibercontact.reference.cadoux import Cadoux, sliding_speed
-from fibercontact.reference.conic import Form, Problem, condensed, default_form, impulse_form
+from fibercontact.reference.conic import Form, Problem, condensed, default_form, sharp_form
 
 __all__ = ["NONE", "Attempt", "Reference", "polish", "reference"]
 
@@ -119,8 +118,7 @@ def _candidates(
         yield "no impulse", np.zeros(3 * problem.n), ""
     yield "sweeps", *polish(incremental, start, target, min(SHORT_SECONDS, share))
     yield "Cadoux", *_polished_cadoux(problem, incremental, default_form, slip, target, share)
-    if isinstance(problem, StepProblem):
-        yield "Cadoux in impulses", *_polished_cadoux(problem, incremental, impulse_form, slip, target, share)
+    yield "sharp Cadoux", *_polished_cadoux(problem, incremental, sharp_form, slip, target, share)
     yield "long sweeps", *polish(incremental, start, target, share)
 
 
