@@ -9,6 +9,7 @@ import pytest
 FOLDER = Path(__file__).parents[1] / "experiments"
 SMALL = {
     "sweep_cost.py": ["--contacts", "60", "--repetitions", "1", "--solvers", "secular,pyramid"],
+    "reference_methods.py": ["--problems", "6", "--max-contacts", "60", "--seconds", "0.5"],
     "alart_curnier_steps.py": ["--problems", "20", "--out", "figure"],
 }
 
