@@ -2,6 +2,7 @@
 
 import multiprocessing
 
+import h5py
 import numpy as np
 import pandas as pd
 import pytest
@@ -15,14 +16,13 @@ from fibercontact.bench.references import (
     find_references,
     reference_frame,
     reference_notes,
-    references_file,
     summary,
 )
 from fibercontact.cli import app
 from fibercontact.problem.fclib import write
 from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.reference.ground_truth import Search, ground_truth
-from fibercontact.reference.store import Store
+from fibercontact.reference.store import Store, references_file
 
 SEARCH = Search(max_seconds=4.0, starts=1)
 
@@ -62,6 +62,15 @@ def test_a_set_is_worked_through_and_a_second_run_computes_nothing(folder):
     ]
     again, _ = find_references(load_set(folder), file, SEARCH, 1, no_one)
     assert again == rows  # the seconds, too: they were stored
+
+
+def test_a_proved_unsolvable_problem_is_marked_in_its_set_if_the_proof_holds(folder):
+    """Tables leave these out of the failure rate."""
+    find_references(load_set(folder), references_file(folder), SEARCH, 1, no_one)
+    assert [entry.existence for entry in load_set(folder)] == ["unsolvable", "", ""]
+    with h5py.File(references_file(folder), "r+") as file:
+        file[load_set(folder)[0].hash]["certificate"][:] = 0.0
+    assert [entry.existence for entry in load_set(folder)] == ["", "", ""]
 
 
 def test_an_interruption_loses_nothing_and_leaves_no_process(folder):

@@ -3,15 +3,16 @@
 import csv
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fibercontact.bench.protocol import BenchError
+from fibercontact.problem.fclib import read
+from fibercontact.problem.incremental import IncrementalProblem
+from fibercontact.reference.existence import UNSOLVABLE
+from fibercontact.reference.store import Store, references_file
 
-__all__ = ["UNSOLVABLE", "Entry", "find_set", "limited", "load_set"]
-
-UNSOLVABLE = "unsolvable"
-"""Value of the manifest's column `existence` for a problem that is proved to have no solution."""
+__all__ = ["Entry", "find_set", "limited", "load_set"]
 
 MANIFEST = "manifest.csv"
 SUFFIXES = (".hdf5", ".h5")
@@ -48,8 +49,9 @@ def find_set(name: str) -> Path:
 def load_set(folder: Path) -> list[Entry]:
     """The problems of a folder, in the manifest's order or by file name.
 
-    Raises `BenchError` when there is none or one is there twice, when a file of the manifest is missing, or
-    when its content is not the one whose hash the manifest holds.
+    Those proved unsolvable by `fibercontact reference`, whose certificate is checked here, are marked as such. Raises
+    `BenchError` when there is none or one is there twice, when a file of the manifest is missing, or when its
+    content is not the one whose hash the manifest holds.
     """
     manifest = folder / MANIFEST
     entries = _listed(manifest) if manifest.is_file() else _found(folder)
@@ -59,7 +61,9 @@ def load_set(folder: Path) -> list[Entry]:
     for entry in entries:
         if (other := seen.setdefault(entry.hash, entry)) is not entry:
             raise BenchError(f"{folder}: {other.file.name} and {entry.file.name} are the same problem")
-    return entries
+    store = Store(references_file(folder))
+    claimed = store.claimed_unsolvable()
+    return [_proved(entry, store) if entry.hash in claimed else entry for entry in entries]
 
 
 def limited(entries: Sequence[Entry], limit: int | None) -> list[Entry]:
@@ -67,6 +71,15 @@ def limited(entries: Sequence[Entry], limit: int | None) -> list[Entry]:
     if limit is None or limit >= len(entries):
         return list(entries)
     return [entries[k * len(entries) // limit] for k in range(limit)]
+
+
+def _proved(entry: Entry, store: Store) -> Entry:
+    """The entry, marked as unsolvable if the stored certificate holds."""
+    return (
+        replace(entry, existence=UNSOLVABLE)
+        if store.unsolvable(entry.hash, read(entry.file).problem)
+        else entry
+    )
 
 
 def _found(folder: Path) -> list[Entry]:
@@ -101,8 +114,5 @@ def _sha256(file: Path) -> str:
 
 def _content_hash(file: Path) -> str:
     """Hash of the incremental problem in a file: for manifests that name the problem, not the file."""
-    from fibercontact.problem.fclib import read
-    from fibercontact.problem.incremental import IncrementalProblem
-
     problem = read(file).problem
     return (problem if isinstance(problem, IncrementalProblem) else problem.condense()).content_hash()

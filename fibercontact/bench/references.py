@@ -30,7 +30,7 @@ from fibercontact.reference.ground_truth import GroundTruth, Search
 from fibercontact.reference.store import Store
 from fibercontact.reference.uniqueness import DIFFERENT
 
-__all__ = ["Listener", "find_references", "reference_frame", "reference_notes", "references_file", "summary"]
+__all__ = ["Listener", "find_references", "reference_frame", "reference_notes", "summary"]
 
 Array = NDArray[np.float64]
 
@@ -39,12 +39,6 @@ Listener = Callable[[Row], None]
 
 TRIFLE = 1e-9
 """Share of the largest `sigma_i r_N,i` below which a contact counts as transmitting no impulse."""
-
-
-def references_file(folder: Path) -> Path:
-    """Where the references of a set are kept by default: beside its folder."""
-    folder = folder.resolve()
-    return folder.with_name(f"{folder.name}.references.hdf5")
 
 
 class _Task(NamedTuple):
@@ -123,7 +117,9 @@ def describe(problem: Problem, found: GroundTruth) -> Row:
         "margin": found.existence.margin,
         "reference": found.reference.method,
         "residual": found.reference.residual,
-        "attempts": len(found.reference.attempts),
+        "log": "; ".join(
+            f"{a.method} {a.residual:.1e} in {a.seconds:.2g} s" for a in found.reference.attempts
+        ),
         "seconds": found.seconds,
         "associated_gap": found.gap,
     }
@@ -157,7 +153,7 @@ def _cost_of_convexity(problem: Problem, r: Array, r_ref: Array) -> Row:
 
 def reference_frame(rows: Sequence[Row]) -> pd.DataFrame:
     """Tidy rows; what is not known is empty."""
-    names = ["problem", "scene", "hash", "contacts", "existence", "margin", "reference", "residual", "attempts",
+    names = ["problem", "scene", "hash", "contacts", "existence", "margin", "reference", "residual", "log",
              "seconds", "associated_gap", "associated_velocity_error", "friction_work", "associated_friction_work",
              "associated_lift_off", "starts", "starts_reached", "solutions", "distance"]  # fmt: skip
     return pd.DataFrame(list(rows), columns=names)

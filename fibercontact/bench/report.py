@@ -10,7 +10,6 @@ from typing import Any
 import pandas as pd
 
 from fibercontact.bench.figures import draw_failures, draw_profile, save
-from fibercontact.bench.problem_set import UNSOLVABLE
 from fibercontact.bench.protocol import ACCURACIES, BenchError
 from fibercontact.bench.rows import TIMED, Row
 from fibercontact.bench.tables import (
@@ -23,6 +22,7 @@ from fibercontact.bench.tables import (
     strata,
     to_frame,
 )
+from fibercontact.reference.existence import UNSOLVABLE
 
 __all__ = ["Report", "View", "make_report", "write_report"]
 

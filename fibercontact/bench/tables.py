@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from fibercontact.bench.problem_set import UNSOLVABLE
 from fibercontact.bench.protocol import PUBLISHED
 from fibercontact.bench.rows import Row
+from fibercontact.reference.existence import UNSOLVABLE
 
 __all__ = [
     "common_problems",

@@ -46,11 +46,11 @@ def reference(
             find_references,
             reference_frame,
             reference_notes,
-            references_file,
             summary,
         )
         from fibercontact.bench.rows import Row
         from fibercontact.reference.ground_truth import Search
+        from fibercontact.reference.store import references_file
 
         folder = find_set(problems)
         entries = limited(load_set(folder), limit)

@@ -63,9 +63,9 @@ def validate(
     with user_errors():
         check_known("accuracy", [accuracy], list(ACCURACIES))
         from fibercontact.bench.problem_set import find_set, limited, load_set
-        from fibercontact.bench.references import references_file
         from fibercontact.bench.validate import validate as compare
         from fibercontact.reference.ground_truth import Search
+        from fibercontact.reference.store import references_file
 
         folder = find_set(problems)
         entries = limited(load_set(folder), limit)

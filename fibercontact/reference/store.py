@@ -14,6 +14,7 @@ Nothing is believed: residual and certificate are computed anew when a group is 
 
 import io
 import json
+import math
 import shutil
 from dataclasses import asdict
 from pathlib import Path
@@ -27,18 +28,24 @@ from fibercontact.problem.fclib import replace_file
 from fibercontact.problem.measure import measure
 from fibercontact.problem.step import StepProblem
 from fibercontact.reference.conic import Problem, condensed, duality_gap
-from fibercontact.reference.existence import UNDECIDED, Existence, recheck
+from fibercontact.reference.existence import UNDECIDED, UNSOLVABLE, Existence, recheck
 from fibercontact.reference.ground_truth import GroundTruth, Search, ground_truth
 from fibercontact.reference.truth import NONE, Attempt, Reference
 from fibercontact.reference.uniqueness import Uniqueness
 
-__all__ = ["Store", "StoreError"]
+__all__ = ["Store", "StoreError", "references_file"]
 
 Array = NDArray[np.float64]
 
 
 class StoreError(UserError):
     """A file of references that cannot be read or written; the message names it and the fault."""
+
+
+def references_file(folder: Path) -> Path:
+    """Where the references of a set are kept by default: beside its folder."""
+    folder = folder.resolve()
+    return folder.with_name(f"{folder.name}.references.hdf5")
 
 
 class Store:
@@ -54,6 +61,18 @@ class Store:
             if path.exists() and (found := _read(path, key, problem, search)) is not None:
                 return found
         return None
+
+    def unsolvable(self, key: str, problem: Problem) -> bool:
+        """Whether a certificate that the problem has no solution is stored, and holds."""
+        known = self.get(key, problem, Search(bar=math.inf, starts=0))
+        return known is not None and known.existence.verdict == UNSOLVABLE
+
+    def claimed_unsolvable(self) -> set[str]:
+        """Keys of the packed problems that are said to have no solution."""
+        if not self.file.exists():
+            return set()
+        with _opened(self.file) as file:
+            return {key for key, group in file.items() if group.attrs.get("existence") == UNSOLVABLE}
 
     def find(self, key: str, name: str, problem: Problem, search: Search) -> GroundTruth:
         """What is stored, or else what is found now, which is stored then."""
