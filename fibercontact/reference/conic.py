@@ -197,7 +197,7 @@ def _settings(max_seconds: float, sharp: bool) -> Any:
     settings.presolve_enable = False  # it forbids updates
     settings.max_threads = 1
     settings.time_limit = max_seconds
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-13
     if sharp:
         settings.static_regularization_constant = 1e-12
         settings.iterative_refinement_max_iter = 50

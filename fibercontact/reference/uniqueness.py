@@ -18,8 +18,11 @@ __all__ = ["DIFFERENT", "Uniqueness", "random_impulse", "uniqueness"]
 
 Array = NDArray[np.float64]
 
-DIFFERENT = 1e-3
-"""Distance of velocities, see `velocity_error`, above which two solutions are different ones."""
+DIFFERENT = 2e-4
+"""Distance of velocities, see `velocity_error`, above which two solutions are different ones.
+
+On core306 accepted answers are less than 3e-5 apart, which residual and conditioning explain, or more than 1e-3.
+"""
 
 
 @dataclass(frozen=True)
