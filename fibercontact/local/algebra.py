@@ -33,6 +33,8 @@ SINGULAR = 1e-10
 """Ratio of the least eigenvalue of `W_TT - w wᵀ/W_NN` to `tr(W_TT)` below which it counts as singular."""
 SHIFT = 1e-9
 """What replaces that eigenvalue, relative to the same trace."""
+GRAZING = 1e-16
+"""Approach speed, relative to the tangential one, that is nothing but rounding: the contact is open."""
 LEFT_OVER = 1e-7
 """Sliding speed, relative to b, that the shift may leave in stick."""
 
@@ -151,11 +153,11 @@ def stick_impulse(t: Tangential, b: Vector) -> tuple[bool, Vector]:
 
 @jit
 def open_or_stick(t: Tangential, b: Vector, mu: float) -> tuple[int, Vector]:
-    """The two simple cases, take-off (`b_N >= 0`) and stick; `SLIP` when neither holds.
+    """The two simple cases, take-off (`b_N >= 0` but for rounding) and stick; `SLIP` when neither holds.
 
     Without friction the answer is the complementarity in the normal direction alone; `SLIP` is not returned.
     """
-    if b[0] >= 0.0:
+    if b[0] >= -GRAZING * (abs(b[1]) + abs(b[2])):
         return OPEN, (0.0, 0.0, 0.0)
     if mu <= 0.0:
         return STICK, (-b[0] / t.W_NN, 0.0, 0.0)
