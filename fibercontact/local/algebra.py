@@ -11,6 +11,7 @@ __all__ = [
     "LARGEST",
     "OPEN",
     "SHIFT",
+    "SINGULAR",
     "SLIP",
     "STICK",
     "Tangential",
