@@ -1,5 +1,7 @@
 """Slow, readable references for the tests: plain numpy, written from THEORY, sharing no code with the package."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.optimize import brentq, nnls
 from scipy.sparse import block_diag, csr_array
@@ -163,3 +165,12 @@ def strands(seed, rods=4, dofs=18, contacts=8, mu=0.4, spread=1e2):
     M = csr_array(block_diag(blocks, format="csr"))
     f = -M @ rng.standard_normal(rods * dofs)
     return StepProblem(M, f, csr_array(H), np.zeros(3 * contacts), np.full(contacts, float(mu)))
+
+
+STEPS = {
+    "stiff": strands(1, spread=1e4),
+    "dense": strands(2, rods=3, contacts=12),
+    "rank deficient": strands(3, rods=2, dofs=9, contacts=10, mu=0.7),
+    "moving": replace(strands(4), w=0.2 * np.random.default_rng(4).random(24)),
+    "mixed mu": replace(strands(5), mu=np.array([0.0, 0.0, 0.1, 0.3, 0.6, 1.0, 2.0, 5.0])),
+}

@@ -11,6 +11,7 @@ __all__ = [
     "LARGEST",
     "OPEN",
     "SHIFT",
+    "SINGULAR",
     "SLIP",
     "STICK",
     "Tangential",
@@ -33,6 +34,8 @@ SINGULAR = 1e-10
 """Ratio of the least eigenvalue of `W_TT - w wᵀ/W_NN` to `tr(W_TT)` below which it counts as singular."""
 SHIFT = 1e-9
 """What replaces that eigenvalue, relative to the same trace."""
+GRAZING = 1e-16
+"""Approach speed, relative to the tangential one, that is nothing but rounding: the contact is open."""
 LEFT_OVER = 1e-7
 """Sliding speed, relative to b, that the shift may leave in stick."""
 
@@ -65,7 +68,12 @@ def affine(W: Matrix, r: Vector, b: Vector) -> Vector:
 
 @jit
 def is_finite(W: Matrix, b: Vector, mu: float) -> bool:
-    """Whether the contact's data are finite; `W` is symmetric, so its lower triangle is looked at."""
+    """Whether the contact's data are finite, and so is `-b_N/W_NN`, which stops an approach without friction.
+
+    `W` is symmetric, so its lower triangle is looked at.
+    """
+    if b[0] < 0.0 and not (W[0][0] > 0.0 and math.isfinite(b[0] / W[0][0])):
+        return False
     return math.isfinite(
         ((W[0][0] + W[1][1]) + (W[2][2] + W[1][0])) + ((W[2][0] + W[2][1]) + (b[0] + b[1])) + (b[2] + mu)
     )
@@ -135,31 +143,41 @@ def slip_impulse(t: Tangential, alpha: float) -> Vector:
 
 
 @jit
+def stopping_impulse(t: Tangential, shift: float) -> Vector:
+    """`slip_impulse` by elimination, backward stable: Cramer's rule there leaves a velocity of eps·cond·|b|."""
+    pivot = t.A11 + shift
+    factor = t.A12 / pivot
+    r2 = (factor * t.c1 - t.c2) / (t.A22 + shift - factor * t.A12)
+    r1 = -(t.c1 + t.A12 * r2) / pivot
+    return (-(t.b_N + t.w1 * r1 + t.w2 * r2) / t.W_NN, r1, r2)
+
+
+@jit
 def stick_impulse(t: Tangential, b: Vector) -> tuple[bool, Vector]:
     """The impulse that stops the contact, and whether there is one.
 
     A singular `W̄` is shifted: when `b̄` is in its range the impulse stays bounded, when it is not the contact
-    cannot be stopped.
+    cannot be stopped. With `W_TT = 0` any shift does.
     """
     trace = t.trace * t.W_NN + t.w1 * t.w1 + t.w2 * t.w2  # W_NN tr(W_TT)
     if t.det * t.W_NN > SINGULAR * trace * abs(t.trace):
-        return True, slip_impulse(t, 0.0)
-    shift = SHIFT * trace / t.W_NN
-    r = slip_impulse(t, shift)
+        return True, stopping_impulse(t, 0.0)
+    shift = SHIFT * trace / t.W_NN if trace > 0.0 else t.W_NN
+    r = stopping_impulse(t, shift)
     return shift * math.sqrt(r[1] * r[1] + r[2] * r[2]) <= LEFT_OVER * norm(b), r
 
 
 @jit
 def open_or_stick(t: Tangential, b: Vector, mu: float) -> tuple[int, Vector]:
-    """The two simple cases, take-off (`b_N >= 0`) and stick; `SLIP` when neither holds.
+    """The two simple cases, take-off (`b_N >= 0` but for rounding) and stick; `SLIP` when neither holds.
 
     Without friction the answer is the complementarity in the normal direction alone; `SLIP` is not returned.
     """
-    if b[0] >= 0.0:
+    if b[0] >= -GRAZING * (abs(b[1]) + abs(b[2])):
         return OPEN, (0.0, 0.0, 0.0)
     if mu <= 0.0:
         return STICK, (-b[0] / t.W_NN, 0.0, 0.0)
     stops, r = stick_impulse(t, b)
-    if stops and math.sqrt(r[1] * r[1] + r[2] * r[2]) <= mu * r[0]:
+    if stops and math.sqrt(r[1] * r[1] + r[2] * r[2]) <= mu * r[0] < math.inf:
         return STICK, r
     return SLIP, r

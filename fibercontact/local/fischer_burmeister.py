@@ -6,12 +6,12 @@ from fibercontact.jit import jit
 from fibercontact.local.algebra import affine
 from fibercontact.local.contract import Matrix
 from fibercontact.local.newton import Contact
-from fibercontact.problem.cone import Vector
+from fibercontact.problem.cone import Vector, smaller_root
 
 __all__ = ["modified_fischer_burmeister"]
 
-BOUNDARY = 1e-15
-"""Least ratio of the two spectral values of `z²`: `L_z` is singular on the boundary of the cone."""
+BOUNDARY = 3e-8
+"""Least ratio of the two spectral values of z in the Jacobian: `L_z` is singular on the boundary of the cone."""
 
 
 @jit
@@ -40,11 +40,11 @@ def modified_fischer_burmeister(c: Contact, r: Vector) -> tuple[Vector, Matrix]:
         return (0.0, 0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     v1, v2 = 2.0 * (x[0] * x[1] + y[0] * y[1]), 2.0 * (x[0] * x[2] + y[0] * y[2])
     tail = math.sqrt(v1 * v1 + v2 * v2)
-    low, high = math.sqrt(max(head - tail, BOUNDARY * head)), math.sqrt(head + tail)
+    low, high = smaller_root(x, y, head, tail), math.sqrt(head + tail)
     scale = 0.5 * (high - low) / tail if tail > 0.0 else 0.0
     z = (0.5 * (low + high), scale * v1, scale * v2)
     f = (x[0] + y[0] - z[0], x[1] + y[1] - z[1], x[2] + y[2] - z[2])
-    det = low * high
+    det = max(low, BOUNDARY * high) * high
     # Columns of L_x X + L_y Y with X = diag(mu, 1, 1) and Y = dy/dr
     columns = (
         velocity_column(W, mu, e1, e2, y, 0, (mu * x[0], mu * x[1], mu * x[2])),

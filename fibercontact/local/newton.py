@@ -4,7 +4,7 @@ import math
 from typing import Any, NamedTuple
 
 from fibercontact.jit import jit, jit_inline
-from fibercontact.local.algebra import LARGEST, is_finite, solve3
+from fibercontact.local.algebra import is_finite, law_residual, solve3
 from fibercontact.local.contract import Matrix, Option, Status
 from fibercontact.problem.cone import Vector, norm
 
@@ -15,6 +15,8 @@ NEWTON_OPTIONS = {
     "max_iterations": Option(50, "Newton iterations"),
 }
 
+ACCEPTED = 1e-6
+"""Residual of the law, relative to b, above which a zero of the function is a failure (MFB loses `r_N` as mu → 0)."""
 ARMIJO = 1e-4
 SHORTEST_STEP = 2.0**-20
 
@@ -103,7 +105,7 @@ def newton(
         x, size = trial, new_size
     if size <= threshold:
         status = Status.CONVERGED
-    if status == Status.CONVERGED and not norm(x) <= LARGEST * norm(b):
+    if status == Status.CONVERGED and not law_residual(contact.W, b, mu, x) <= ACCEPTED * norm(b):
         status = Status.INACCURATE
     if not math.isfinite(x[0] + x[1] + x[2]):
         status = Status.NOT_FINITE

@@ -19,6 +19,7 @@ __all__ = [
     "project",
     "project_cone",
     "project_pyramid",
+    "smaller_root",
 ]
 
 Vector = tuple[float, float, float]
@@ -107,12 +108,31 @@ def natural_map(u: Vector, r: Vector, mu: float, sigma: float, facets: int) -> V
 
 
 @jit
+def smaller_root(x: Vector, y: Vector, head: float, tail: float) -> float:
+    """`sqrt(head - tail)`, the smaller spectral value of `(x∘x + y∘y)^(1/2)`, without its cancellation.
+
+    `head² - tail²`, the product of the spectral values of `x∘x + y∘y`, is a sum of squares.
+    """
+    if head - tail > 1e-3 * head:
+        return math.sqrt(head - tail)
+    s = 1.0 / math.sqrt(head + tail)
+    a = s * (x[0] * x[0] - x[1] * x[1] - x[2] * x[2])
+    b = s * (y[0] * y[0] - y[1] * y[1] - y[2] * y[2])
+    c = s * (x[0] * y[0] - x[1] * y[1] - x[2] * y[2])
+    d1, d2 = s * (x[0] * y[1] - y[0] * x[1]), s * (x[0] * y[2] - y[0] * x[2])
+    e = s * (x[1] * y[2] - x[2] * y[1])
+    return math.sqrt(a * a + b * b + 2.0 * (c * c + d1 * d1 + d2 * d2 + e * e))
+
+
+@jit
 def fischer_burmeister(x: Vector, y: Vector) -> Vector:
     """`x + y - (x∘x + y∘y)^(1/2)` in the Jordan algebra of the Lorentz cone [Daviet 2011]."""
     head = x[0] * x[0] + x[1] * x[1] + x[2] * x[2] + y[0] * y[0] + y[1] * y[1] + y[2] * y[2]
     v1 = 2.0 * (x[0] * x[1] + y[0] * y[1])
     v2 = 2.0 * (x[0] * x[2] + y[0] * y[2])
     tail = math.sqrt(v1 * v1 + v2 * v2)
-    low, high = math.sqrt(max(0.0, head - tail)), math.sqrt(head + tail)
+    if head == 0.0:
+        return (0.0, 0.0, 0.0)
+    low, high = smaller_root(x, y, head, tail), math.sqrt(head + tail)
     scale = 0.5 * (high - low) / tail if tail > 0.0 else 0.0
     return (x[0] + y[0] - 0.5 * (low + high), x[1] + y[1] - scale * v1, x[2] + y[2] - scale * v2)

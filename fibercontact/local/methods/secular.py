@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from fibercontact.jit import jit
 from fibercontact.local.algebra import (
     SHIFT,
+    SINGULAR,
     SLIP,
     Tangential,
     eliminate_normal,
@@ -122,7 +123,7 @@ def kernel(
             high = min(high, bracket_end(t, mu))
             alpha = 0.5 * (low + high) if low > 0.0 else 1e-3 * high
         g, limit, newton = newton_step(p, alpha)
-        if abs(g) <= tolerance * limit or high - low <= 4e-16 * low:
+        if abs(g) <= tolerance * limit or high - low <= 4e-16 * max(low, SINGULAR * t.trace):
             r = on_cone(slip_impulse(t, alpha), mu)
             sound = alpha > SHIFT * (t.trace + t.W_NN) or law_residual(W, b, mu, r) <= ACCEPTED * norm(b)
             return Status.CONVERGED if sound else Status.INACCURATE, r, k + 1
