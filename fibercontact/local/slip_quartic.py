@@ -6,9 +6,9 @@ import math
 import numpy as np
 
 from fibercontact.jit import jit
-from fibercontact.local.algebra import Tangential, law_residual, slip_impulse
+from fibercontact.local.algebra import Tangential, law_residual, meets, slip_impulse
 from fibercontact.local.contract import Matrix, Option, Status
-from fibercontact.problem.cone import Vector, norm
+from fibercontact.problem.cone import Vector
 
 __all__ = [
     "ENUMERATIVE_OPTIONS",
@@ -34,13 +34,19 @@ BIQUADRATIC = 1e-18
 
 
 @jit
+def alpha_unit(t: Tangential) -> float:
+    """`tr(W̄)`, or `W_NN` where `W̄` vanishes: `W` has rank 1."""
+    return t.trace if t.trace > 0.0 else t.W_NN
+
+
+@jit
 def slip_quartic(t: Tangential, mu: float) -> Quartic:
     """Coefficients, highest first, of `mu² p(alpha)² - W_NN² |B + alpha b̄|²` [Daviet 2011, app. B].
 
-    alpha is in units of `tr(W̄)`, so that the coefficients do not depend on the scale of `W`.
+    alpha is in units of `alpha_unit`, so that the coefficients do not depend on the scale of `W`.
     """
     B1, B2 = t.A22 * t.c1 - t.A12 * t.c2, t.A11 * t.c2 - t.A12 * t.c1  # adj(W̄) b̄
-    unit = t.trace
+    unit = alpha_unit(t)
     p2 = mu * t.b_N * unit * unit
     p1 = mu * (t.b_N * t.trace - t.w1 * t.c1 - t.w2 * t.c2) * unit
     p0 = mu * (t.b_N * t.det - t.w1 * B1 - t.w2 * B2)
@@ -118,13 +124,13 @@ def best_slip(
     best, least = (0.0, 0.0, 0.0), math.inf
     for root in roots:
         if root.real > 0.0 and abs(root.imag) <= REAL_ANGLE * root.real:
-            r = slip_impulse(t, root.real * t.trace)
+            r = slip_impulse(t, root.real * alpha_unit(t))
             residual = law_residual(W, b, mu, r)
             if r[0] > 0.0 and residual < least:
                 best, least = r, residual
     if math.isinf(least):
         return Status.NO_ROOT, best
-    return Status.CONVERGED if least <= tolerance * norm(b) else Status.INACCURATE, best
+    return Status.CONVERGED if meets(W, b, mu, best, least, tolerance) else Status.INACCURATE, best
 
 
 @jit
