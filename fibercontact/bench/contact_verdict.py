@@ -16,7 +16,7 @@ from fibercontact.local.contract import Status
 from fibercontact.local.one_contact import OneContacts, Replay, residuals
 from fibercontact.problem.cone import COULOMB
 
-__all__ = ["ACCEPTED", "INACCURATE_ANSWER", "Verdict", "judge", "load_size", "tolerances", "velocity_gap"]
+__all__ = ["INACCURATE_ANSWER", "Verdict", "judge", "load_size", "reason_of", "tolerances", "velocities"]
 
 F64 = NDArray[np.float64]
 
@@ -26,19 +26,29 @@ LARGEST = 1e10
 """Impulse relative to b, in velocity units, up to which rounding is granted."""
 INACCURATE_ANSWER = "inaccurate answer"
 """The reason of a false success: claimed, and denied by the residual."""
+FALSE_SUCCESS = -(2**62)
 
 
 class Verdict(NamedTuple):
-    """Of each contact: why it failed ('' where it is solved), the residuals of the own law and of Coulomb's."""
+    """Of each contact: a code (0 solved, a failed status, or `FALSE_SUCCESS`), and the residuals of two laws.
 
-    reason: NDArray[np.str_]
+    `residual` is of the solver's own law, `coulomb` of Coulomb's.
+    """
+
+    code: NDArray[np.int64]
     residual: F64
     coulomb: F64
 
     @property
     def solved(self) -> NDArray[np.bool_]:
         """Whether the solver claims an answer and is right."""
-        return self.reason == ""
+        return np.equal(self.code, int(Status.CONVERGED))
+
+    @property
+    def reasons(self) -> NDArray[np.object_]:
+        """Why each contact failed, in words; '' where it is solved."""
+        codes, index = np.unique(self.code, return_inverse=True)
+        return np.array([reason_of(int(code)) for code in codes], dtype=object)[index]
 
 
 def load_size(contacts: OneContacts) -> F64:
@@ -62,21 +72,20 @@ def judge(contacts: OneContacts, found: Replay, facets: int) -> Verdict:
     """Judge a replay by the law with that many facets."""
     finite = np.isfinite(np.abs(found.r).max(axis=1))
     r = np.where(finite[:, None], found.r, 0.0)
-    own, coulomb = (np.where(finite, residuals(contacts, r, law), np.inf) for law in (facets, COULOMB))
-    names = {int(status): _name(int(status)) for status in np.unique(found.status)}
-    reason = np.array([names[int(status)] for status in found.status], dtype=object)
+    own = np.where(finite, residuals(contacts, r, facets), np.inf)
+    coulomb = own if facets == COULOMB else np.where(finite, residuals(contacts, r, COULOMB), np.inf)
+    claimed = np.equal(found.status, int(Status.CONVERGED))
     wrong = own > tolerances(contacts, r)
-    reason[(found.status == int(Status.CONVERGED)) & wrong] = INACCURATE_ANSWER
-    return Verdict(reason.astype(np.str_), own, coulomb)
+    return Verdict(np.where(claimed & wrong, FALSE_SUCCESS, found.status), own, coulomb)
 
 
-def _name(status: int) -> str:
-    if status == Status.CONVERGED:
-        return ""
+def reason_of(code: int) -> str:
+    """A verdict's code in words, '' for solved."""
     known = {int(s): s.name.lower().replace("_", " ") for s in Status}
-    return known.get(status, f"status {status}")
+    known |= {int(Status.CONVERGED): "", FALSE_SUCCESS: INACCURATE_ANSWER}
+    return known.get(code, f"status {code}")
 
 
-def velocity_gap(contacts: OneContacts, r: F64, other: F64) -> F64:
-    """`|W (r - other)| / |b|`, (m,): how far two answers are from each other; impulses need not be unique."""
-    return np.linalg.norm(np.einsum("kij,kj->ki", contacts.W, r - other), axis=1) / load_size(contacts)
+def velocities(contacts: OneContacts, r: F64) -> F64:
+    """`W r / |b|`, (m, 3): answers are compared by it, impulses need not be unique."""
+    return np.einsum("kij,kj->ki", contacts.W, r) / load_size(contacts)[:, None]

@@ -17,12 +17,11 @@ How many visits there were, were looked at, and had each reason is counted witho
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fibercontact.bench.contact_verdict import judge, velocity_gap
+from fibercontact.bench.contact_verdict import judge, reason_of, velocities
 from fibercontact.bench.passes import lay_out
 from fibercontact.bench.problem_set import Entry
 from fibercontact.gauss_seidel.solver import GaussSeidel
@@ -38,9 +37,9 @@ __all__ = ["RUNNERS", "harvest"]
 RUNNERS = ("secular", "pac")
 TOLERANCE = 1e-4
 SWEEPS = 1000
-LOOKED_AT = 100_000
+LOOKED_AT = 500_000
 UNIFORM = 40
-KEPT = 6
+KEPT = 200
 SLOW = 20
 DIFFERENT = 1e-3
 """Distance of two velocities, relative to b, from which they are different answers."""
@@ -114,13 +113,16 @@ def hard_visits(contacts: OneContacts, solvers: Sequence[Configured]) -> dict[st
     for local in solvers:
         replayed = replay(local, contacts)
         verdict = judge(contacts, replayed, local.facets)
-        for reason in np.unique(verdict.reason[~verdict.solved]):
-            found[f"{local.label} {reason}"] = verdict.reason == reason
+        for code in np.unique(verdict.code[~verdict.solved]):
+            found[f"{local.label} {reason_of(int(code))}"] = verdict.code == code
         found[f"{local.label} slow"] = verdict.solved & (replayed.iterations > SLOW)
         if local.facets == COULOMB:
-            answers.append((verdict.solved, replayed.r))
-    differ = np.zeros(contacts.m, dtype=bool)
-    for (one_solved, one), (other_solved, other) in combinations(answers, 2):
-        with np.errstate(all="ignore"):  # answers that failed may be anything
-            differ |= one_solved & other_solved & (velocity_gap(contacts, one, other) > DIFFERENT)
-    return found | {"answers differ": differ}
+            right = np.where(verdict.solved[:, None], replayed.r, np.nan)
+            answers.append(velocities(contacts, right))
+    return found | {"answers differ": _spread(np.array(answers)) > DIFFERENT}
+
+
+def _spread(answers: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far the velocities (solvers, m, 3) of right answers are apart: their bounding box's diagonal, (m,)."""
+    largest, least = np.fmax.reduce(answers), np.fmin.reduce(answers)
+    return np.nan_to_num(np.linalg.norm(largest - least, axis=1))

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from fibercontact.bench.contact_verdict import judge, velocity_gap
+from fibercontact.bench.contact_verdict import judge, velocities
 from fibercontact.bench.environment import load, one_thread, usable_cores
 from fibercontact.bench.protocol import BenchError
 from fibercontact.bench.worker import Crashed, Hung, Refused, Worker
@@ -133,9 +133,9 @@ def _answers(kind: str, contacts: OneContacts, solver: Configured, replay: Repla
         return frame.assign(reason=lost, claimed=False)
     verdict = judge(contacts, replay, solver.facets)
     with np.errstate(all="ignore"):  # answers that failed may be anything
-        error = velocity_gap(contacts, replay.r, contacts.answer)
+        error = np.linalg.norm(velocities(contacts, replay.r - contacts.answer), axis=1)
     return frame.assign(
-        reason=verdict.reason,
+        reason=verdict.reasons,
         claimed=replay.status == int(Status.CONVERGED),
         residual=verdict.residual,
         coulomb=verdict.coulomb,

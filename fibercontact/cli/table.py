@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fibercontact.bench.protocol import ACCURACIES, DEFAULT_SOLVERS, OUTERS, STARTS
+from fibercontact.bench.protocol import ACCURACIES, DEFAULT_SOLVERS, OUTERS, STARTS, BenchError
 from fibercontact.cli.errors import check_known, user_errors
 from fibercontact.cli.level1 import one_contact_table
 from fibercontact.cli.solvers import Plugins, split_solvers
@@ -76,26 +76,23 @@ def table(
     """
     with user_errors():
         check_known("accuracy", [*(accuracy or []), *(rates or [])], list(ACCURACIES))
+        check_known("level", [str(level)], ["1", "3"])
         check_known("start", [start], STARTS)
         check_known("outer loop", [outer], OUTERS)
+        if level == 1:
+            if accuracy or rates:
+                raise BenchError(
+                    "--accuracy and --rates belong to level 3: at level 1 each contact is solved once"
+                )
+            local = _configured(solvers, plugin or [])
+            one_contact_table(problems, local, plugin or [], repetitions, limit, out, max_seconds)
+            return
         from fibercontact.bench.environment import usable_cores
         from fibercontact.bench.problem_set import find_set, limited, load_set
         from fibercontact.bench.protocol import Limits
         from fibercontact.bench.rows import RowFile, move_away
         from fibercontact.bench.run import Plan
 
-        if level != 3:
-            check_known("level", [str(level)], ["1", "3"])
-            one_contact_table(
-                problems,
-                _configured(solvers, plugin or []),
-                plugin or [],
-                repetitions,
-                limit,
-                out,
-                max_seconds,
-            )
-            return
         folder = find_set(problems or "core306")
         entries = limited(load_set(folder), limit)
         plan = Plan(

@@ -1,12 +1,13 @@
 """Hybrid of MFB and enumeration: simple cases enumerated, Newton first, enumeration as the fail-safe.
 
 Order: (1) take-off and stick by enumeration; (2) slip by damped Newton on the modified Fischer–Burmeister
-function from the last impulse; (3) when Newton fails, the closed formula for the slip quartic gives a rough
-impulse that Newton refines; (4) when that fails too, the companion matrix does; the answer with the least
-residual is kept.
+function from the last impulse; (3) when Newton fails, or claims what the residual of the law denies, its impulse is
+corrected as a slip; (4) when that fails, the closed formula for the slip quartic gives a rough impulse that Newton
+and the corrections refine; (5) when that fails too, the companion matrix does; the answer with the least residual
+is kept.
 
 Reference: Daviet, Bertails-Descoubes and Boissieux, ACM TOG 30(6), 2011; the 2014 talk's "MFB + Enum".
-Fails only when all three answers miss the accepted residual, at condition numbers of `W` beyond about 1e10.
+Fails only when all three answers miss the accepted residual; met only for answers of more than 1e10 times b.
 """
 
 import numpy as np

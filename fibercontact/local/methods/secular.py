@@ -1,4 +1,4 @@
-"""Exact slip by a bracketed Newton iteration on a scalar secular equation; cannot fail.
+"""Exact slip by a bracketed Newton iteration on a scalar secular equation; a root is always bracketed.
 
 Take-off and stick are tested first. In slip `(W̄ + alpha I) r_T = -b̄`, and the scalar function
 `phi(alpha) = |r_T(alpha)| - mu r_N(alpha)` is positive at 0+ (stick is excluded) and negative at
@@ -6,7 +6,8 @@ Take-off and stick are tested first. In slip `(W̄ + alpha I) r_T = -b̄`, and t
 linear in alpha, inside the bracket.
 
 Reference: THEORY §3; the idea of the almost linear reciprocal is that of Moré and Sorensen (SIAM J. Sci. Stat.
-Comput. 4, 1983) for trust regions. Fails only on data that are not finite or not positive.
+Comput. 4, 1983) for trust regions. An impulse that is large beside b is corrected on `W` itself. Fails on data that
+are not finite or not positive, for answers of more than 1e10 times b, and where a singular `W` leaves no answer.
 """
 
 import math
