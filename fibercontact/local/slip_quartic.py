@@ -73,6 +73,25 @@ def largest_cubic_root(a: float, b: float, c: float) -> float:
 
 
 @jit
+def polished_resolvent(m: float, a: float, b: float, c: float) -> float:
+    """The root `m` of `x³ + a x² + b x + c` after two Newton steps, which give a small one its relative accuracy.
+
+    A step that does not reduce the value is not taken: near a multiple root it is rounding over rounding.
+    """
+    value = ((m + a) * m + b) * m + c
+    for _ in range(2):
+        slope = (3.0 * m + 2.0 * a) * m + b
+        if not slope > 0.0:
+            break
+        trial = m - value / slope
+        new = ((trial + a) * trial + b) * trial + c
+        if not abs(new) < abs(value):
+            break
+        m, value = trial, new
+    return m
+
+
+@jit
 def closed_roots(c: Quartic) -> tuple[bool, Roots]:
     """Roots of the quartic by Ferrari's closed formula; False when its leading coefficient vanishes."""
     zero = complex(0.0, 0.0)
@@ -84,10 +103,7 @@ def closed_roots(c: Quartic) -> tuple[bool, Roots]:
     q = b1 - 0.5 * b3 * b2 + 0.125 * b3 * b3 * b3
     r = b0 - 0.25 * b3 * b1 + b3 * b3 * b2 / 16.0 - 3.0 / 256.0 * b3 * b3 * b3 * b3
     m = largest_cubic_root(p, 0.25 * p * p - r, -0.125 * q * q)
-    for _ in range(2):  # Newton gives a small m its relative accuracy
-        slope = (3.0 * m + 2.0 * p) * m + 0.25 * p * p - r
-        if slope > 0.0:
-            m -= (((m + p) * m + 0.25 * p * p - r) * m - 0.125 * q * q) / slope
+    m = polished_resolvent(m, p, 0.25 * p * p - r, -0.125 * q * q)
     if not m > BIQUADRATIC * (abs(p) + math.sqrt(abs(r))):
         s = cmath.sqrt(complex(0.25 * p * p - r, 0.0))
         x, y = cmath.sqrt(-0.5 * p + s), cmath.sqrt(-0.5 * p - s)
