@@ -12,7 +12,7 @@ from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.reference.existence import UNSOLVABLE
 from fibercontact.reference.store import Store, references_file
 
-__all__ = ["Entry", "find_set", "limited", "load_set"]
+__all__ = ["Entry", "find_file", "find_set", "limited", "load_set"]
 
 MANIFEST = "manifest.csv"
 SUFFIXES = (".hdf5", ".h5")
@@ -36,14 +36,27 @@ class Entry:
 
 def find_set(name: str) -> Path:
     """Folder of a set: a path, or a folder's name in `problems/` of the checkout or of the current folder."""
-    checkout = Path(__file__).parents[2]
-    candidates = [Path(name), checkout / "problems" / name, Path("problems") / name]
+    candidates = _candidates(name)
     for folder in candidates:
         if folder.is_dir():
             return folder
     shelves = {candidate.parent for candidate in candidates[1:] if candidate.parent.is_dir()}
     known = sorted({folder.name for shelf in shelves for folder in shelf.iterdir() if folder.is_dir()})
     raise BenchError(f"no set of problems {name!r}: not a folder (known sets: {', '.join(known) or 'none'})")
+
+
+def find_file(name: str) -> Path:
+    """A file by its path, or by its name in `problems/` of the checkout or of the current folder."""
+    for path in _candidates(name):
+        if path.is_file():
+            return path
+    raise BenchError(f"no such file: {name!r}, nor in problems/")
+
+
+def _candidates(name: str) -> list[Path]:
+    """Where a name of the user's may be."""
+    checkout = Path(__file__).parents[2]
+    return [Path(name), checkout / "problems" / name, Path("problems") / name]
 
 
 def load_set(folder: Path) -> list[Entry]:

@@ -24,7 +24,7 @@ from fibercontact.bench.tables import (
 )
 from fibercontact.reference.existence import UNSOLVABLE
 
-__all__ = ["Report", "View", "make_report", "write_report"]
+__all__ = ["Report", "View", "make_report", "number", "pipes", "write_report"]
 
 IDLE_LOAD = 0.5
 """Mean number of other running processes above which something ran beside the measurement."""
@@ -217,12 +217,13 @@ def _pairs(first: pd.Series, second: pd.Series) -> list[str]:
 def markdown(view: View) -> str:
     """The table in Markdown, its notes below."""
     cells = display(view).reset_index()
-    lines = [f"**{view.title}**", "", _pipes(cells.columns), _pipes("---" for _ in cells.columns)]
-    lines += [_pipes(line) for line in cells.itertuples(index=False)]
+    lines = [f"**{view.title}**", "", pipes(cells.columns), pipes("---" for _ in cells.columns)]
+    lines += [pipes(line) for line in cells.itertuples(index=False)]
     return "\n".join([*lines, "", *(f"* {note}" for note in view.notes), ""])
 
 
-def _pipes(cells: Iterable[Any]) -> str:
+def pipes(cells: Iterable[Any]) -> str:
+    """A line of a Markdown table."""
     return "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"
 
 

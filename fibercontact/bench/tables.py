@@ -24,6 +24,7 @@ __all__ = [
     "performance_ratios",
     "rated",
     "strata",
+    "tally",
     "to_frame",
 ]
 
@@ -85,7 +86,7 @@ def _figures(rows: pd.DataFrame, common: pd.Index) -> dict[str, Any]:
         "failed": failed,
         "failure_percent": 100.0 * failed / len(rows),
         "false_successes": int(rows["false_success"].astype(bool).sum()),
-        "reasons": _tally(rows["reason"]),
+        "reasons": tally(rows["reason"]),
         "common": len(shared),
         "sweeps_mean": shared["sweeps"].mean(),
         "sweeps_median": shared["sweeps"].median(),
@@ -105,7 +106,7 @@ def geometric_mean(values: pd.Series) -> float:
     return float(np.exp(np.log(values).mean())) if len(values) else float("nan")
 
 
-def _tally(reasons: pd.Series) -> str:
+def tally(reasons: pd.Series) -> str:
     """Reasons with their counts, the most frequent first."""
     counts = reasons[reasons != ""].value_counts()
     return ", ".join(f"{reason} {count}" for reason, count in counts.items())

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 import fibercontact
-from fibercontact.cli import info, reference, simulate, solve, solvers, table, validate
+from fibercontact.cli import info, level1, reference, simulate, solve, solvers, table, validate
 
 __all__ = ["app", "main"]
 
@@ -25,6 +25,7 @@ app.command("info")(info.info)
 app.command("solvers")(solvers.solvers)
 app.command("simulate")(simulate.simulate)
 app.command("dump")(simulate.dump)
+app.command("harvest")(level1.harvest)
 app.command("reference")(reference.reference)
 app.command("validate")(validate.validate)
 

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fibercontact.bench.protocol import ACCURACIES, DEFAULT_SOLVERS, OUTERS, STARTS
+from fibercontact.bench.protocol import ACCURACIES, DEFAULT_SOLVERS, OUTERS, STARTS, BenchError
 from fibercontact.cli.errors import check_known, user_errors
+from fibercontact.cli.level1 import one_contact_table
 from fibercontact.cli.solvers import Plugins, split_solvers
 
 if TYPE_CHECKING:
@@ -22,13 +23,17 @@ __all__ = ["table"]
 
 def table(
     problems: Annotated[
-        str, typer.Option("--set", metavar="SET", help="core306, or a folder of FCLIB files.")
-    ] = "core306",
+        str | None,
+        typer.Option("--set", metavar="SET", help="core306, or a folder of FCLIB files; a file of level 1."),
+    ] = None,
     solvers: Annotated[
         str | None,
         typer.Option(metavar="A,B,...", help="Local solvers, `NAME[:option=value,...]`; all by default."),
     ] = None,
     plugin: Plugins = None,
+    level: Annotated[
+        int, typer.Option(help="3: whole problems. 1: one-contact problems, each solved once.", min=1, max=3)
+    ] = 3,
     accuracy: Annotated[
         list[str] | None,
         typer.Option(metavar="LEVEL", help=f"Time at this accuracy: {', '.join(ACCURACIES)}; repeatable."),
@@ -66,18 +71,29 @@ def table(
     fibercontact table --set my_problems/ --solvers hybrid,secular,pyramid:facets=8
 
     fibercontact table --plugin my_solver.py --limit 20
+
+    fibercontact table --level 1
     """
     with user_errors():
         check_known("accuracy", [*(accuracy or []), *(rates or [])], list(ACCURACIES))
+        check_known("level", [str(level)], ["1", "3"])
         check_known("start", [start], STARTS)
         check_known("outer loop", [outer], OUTERS)
+        if level == 1:
+            if accuracy or rates:
+                raise BenchError(
+                    "--accuracy and --rates belong to level 3: at level 1 each contact is solved once"
+                )
+            local = _configured(solvers, plugin or [])
+            one_contact_table(problems, local, plugin or [], repetitions, limit, out, max_seconds)
+            return
         from fibercontact.bench.environment import usable_cores
         from fibercontact.bench.problem_set import find_set, limited, load_set
         from fibercontact.bench.protocol import Limits
         from fibercontact.bench.rows import RowFile, move_away
         from fibercontact.bench.run import Plan
 
-        folder = find_set(problems)
+        folder = find_set(problems or "core306")
         entries = limited(load_set(folder), limit)
         plan = Plan(
             entries,

@@ -19,6 +19,7 @@ __all__ = [
     "eliminate_normal",
     "is_finite",
     "law_residual",
+    "meets",
     "open_or_stick",
     "slip_impulse",
     "solve3",
@@ -27,8 +28,10 @@ __all__ = [
 
 OPEN, STICK, SLIP = 0, 1, 2
 
-LARGEST = 1e9
+LARGEST = 1e10
 """Impulse, relative to b in velocity units, above which rounding makes a residual meaningless."""
+
+EPSILON = 2.0**-52
 
 SINGULAR = 1e-10
 """Ratio of the least eigenvalue of `W_TT - w wᵀ/W_NN` to `tr(W_TT)` below which it counts as singular."""
@@ -86,6 +89,17 @@ def law_residual(W: Matrix, b: Vector, mu: float, r: Vector) -> float:
     if sigma * norm(r) > LARGEST * norm(b):
         return math.inf
     return norm(natural_map(affine(W, r, b), r, mu, sigma, COULOMB))
+
+
+@jit
+def meets(W: Matrix, b: Vector, mu: float, r: Vector, residual: float, tolerance: float) -> bool:
+    """Whether a residual at `r` is at most `tolerance |b|`, and what rounding of r and u alone can leave of it.
+
+    `r` rounded and `W r + b` evaluated in doubles are off by `2 tr(W) |r| eps`, which `ũ` grows by `1 + mu` at most.
+    """
+    trace = W[0][0] + W[1][1] + W[2][2]
+    bound = tolerance * norm(b) + 2.0 * (1.0 + mu) * EPSILON * trace * norm(r)
+    return residual <= bound and math.isfinite(residual)
 
 
 @jit

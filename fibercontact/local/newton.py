@@ -4,7 +4,7 @@ import math
 from typing import Any, NamedTuple
 
 from fibercontact.jit import jit, jit_inline
-from fibercontact.local.algebra import is_finite, law_residual, solve3
+from fibercontact.local.algebra import is_finite, law_residual, meets, solve3
 from fibercontact.local.contract import Matrix, Option, Status
 from fibercontact.problem.cone import Vector, norm
 
@@ -16,7 +16,9 @@ NEWTON_OPTIONS = {
 }
 
 ACCEPTED = 1e-6
-"""Residual of the law, relative to b, above which a zero of the function is a failure (MFB loses `r_N` as mu → 0)."""
+"""Residual of the law, relative to b, above which a zero of the function is a failure (MFB loses `r_N` as mu → 0).
+
+A tolerance looser than a tenth of it loosens it."""
 ARMIJO = 1e-4
 SHORTEST_STEP = 2.0**-20
 
@@ -105,7 +107,10 @@ def newton(
         x, size = trial, new_size
     if size <= threshold:
         status = Status.CONVERGED
-    if status == Status.CONVERGED and not law_residual(contact.W, b, mu, x) <= ACCEPTED * norm(b):
+    accepted = max(ACCEPTED, 10.0 * tolerance)
+    if status == Status.CONVERGED and not meets(
+        contact.W, b, mu, x, law_residual(contact.W, b, mu, x), accepted
+    ):
         status = Status.INACCURATE
     if not math.isfinite(x[0] + x[1] + x[2]):
         status = Status.NOT_FINITE

@@ -24,7 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fibercontact.errors import UserError
-from fibercontact.problem.fclib import replace_file
+from fibercontact.problem.hdf5 import open_file, replace_file, write_array
+from fibercontact.problem.incremental import ProblemError
 from fibercontact.problem.measure import measure
 from fibercontact.problem.step import StepProblem
 from fibercontact.reference.conic import Problem, condensed, duality_gap
@@ -115,22 +116,18 @@ def _write(group: h5py.Group, name: str, problem: Problem, found: GroundTruth, s
         gap=found.gap, tried=unique.tried, reached=unique.reached, distance=unique.distance,
     )  # fmt: skip
     _write_answer(group.create_group("solution" if truth.accepted else "best_known"), problem, truth.r)
-    _write_array(group, "associated/r", found.associated)
-    _write_array(group, "certificate", exists.certificate)
+    write_array(group, "associated/r", found.associated)
+    write_array(group, "certificate", exists.certificate)
     for k, r in enumerate(unique.others):
-        _write_array(group, f"others/{k}/r", r)
+        write_array(group, f"others/{k}/r", r)
 
 
 def _write_answer(group: h5py.Group, problem: Problem, r: Array) -> None:
     incremental = condensed(problem)
     if isinstance(problem, StepProblem):
-        _write_array(group, "v", problem.velocities(r))
-    _write_array(group, "u", incremental.W @ r + incremental.b)
-    _write_array(group, "r", r)
-
-
-def _write_array(group: h5py.Group, name: str, values: Array) -> None:
-    group.create_dataset(name, data=values, compression="gzip", shuffle=True, fletcher32=True)
+        write_array(group, "v", problem.velocities(r))
+    write_array(group, "u", incremental.W @ r + incremental.b)
+    write_array(group, "r", r)
 
 
 def _read(path: Path, key: str, problem: Problem, search: Search) -> GroundTruth | None:
@@ -177,6 +174,6 @@ def _vector(group: h5py.Group, name: str, problem: Problem) -> Array:
 
 def _opened(path: Path) -> h5py.File:
     try:
-        return h5py.File(path, "r")
-    except OSError as fault:
-        raise StoreError(f"{path}: not a readable HDF5 file ({fault})") from None
+        return open_file(path)
+    except ProblemError as fault:
+        raise StoreError(f"{path}: {fault}") from None
