@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import pkgutil
 import signal
 from collections.abc import Sequence
 from multiprocessing.connection import Connection
@@ -11,6 +12,8 @@ from typing import Any
 from fibercontact.bench.protocol import BenchError
 
 __all__ = ["Crashed", "Ended", "Hung", "Refused", "Worker"]
+
+PASSES = "fibercontact.bench.passes:Desk"
 
 START_SECONDS = 900.0
 """For imports and, the first time, compilation."""
@@ -37,16 +40,22 @@ class Ended(Exception):
 
 
 class Worker:
-    """A `Desk` in a process of its own, replaced by a new one when it hangs or crashes.
+    """A desk in a process of its own, replaced by a new one when it hangs or crashes.
 
-    `core` pins it. `fingerprints` are those of the solvers that the run began with: `BenchError` is raised
-    when a process comes up with others, or cannot load the solvers at all.
+    `desk` names its class, by default that of the passes: made from the plugins and the names of the solvers, it
+    answers requests by its methods and has `fingerprints()`. `core` pins the process. `fingerprints` are those of
+    the solvers that the run began with: `BenchError` is raised when a process comes up with others, or cannot
+    load the solvers at all.
     """
 
     def __init__(
-        self, plugins: Sequence[Path], fingerprints: dict[str, str], core: int | None = None
+        self,
+        plugins: Sequence[Path],
+        fingerprints: dict[str, str],
+        core: int | None = None,
+        desk: str = PASSES,
     ) -> None:
-        self._plugins, self._fingerprints, self._core = list(plugins), fingerprints, core
+        self._plugins, self._fingerprints, self._core, self._desk = list(plugins), fingerprints, core, desk
         self._process: Any = None
         self._connection: Connection | None = None
         self._loaded: tuple[Path, str] | None = None
@@ -55,7 +64,7 @@ class Worker:
     def load(self, path: Path, start: str) -> dict[str, Any]:
         """Take a problem; returns its sizes. Raises `Hung`, `Crashed` or `Refused`."""
         self._loaded = None
-        sizes = self._ask("load", (path, start), LOAD_SECONDS)
+        sizes = self.ask("load", (path, start), LOAD_SECONDS)
         self._loaded = (path, start)
         return sizes
 
@@ -63,17 +72,18 @@ class Worker:
         """Do one pass on a problem, taken again when the process is a new one."""
         if self._loaded != (path, start):
             self.load(path, start)
-        return self._ask("solve", (task,), limit)
+        return self.ask("solve", (task,), limit)
+
+    def ask(self, name: str, arguments: tuple[Any, ...], limit: float) -> Any:
+        """What the desk's method `name` answers. Raises `Hung`, `Crashed` or `Refused`."""
+        connection = self._connection or self._start()
+        return self._answer(connection, (name, arguments, limit), limit)
 
     def end(self) -> None:
         """Kill the process, now and for good; may be called from another thread."""
         self._ended = True
         if self._process is not None:
             self._process.kill()
-
-    def _ask(self, name: str, arguments: tuple[Any, ...], limit: float) -> Any:
-        connection = self._connection or self._start()
-        return self._answer(connection, (name, arguments, limit), limit)
 
     def _answer(self, connection: Connection, request: Any, limit: float) -> Any:
         if self._ended:
@@ -107,7 +117,7 @@ class Worker:
     def _start(self) -> Connection:
         context = multiprocessing.get_context("spawn")  # a forked process would inherit locks and threads
         self._connection, theirs = context.Pipe()
-        arguments = (theirs, self._plugins, list(self._fingerprints), self._core)
+        arguments = (theirs, self._desk, self._plugins, list(self._fingerprints), self._core)
         self._process = context.Process(target=_serve, args=arguments, daemon=True)
         self._process.start()
         theirs.close()
@@ -128,15 +138,15 @@ def _cause(code: int | None) -> str:
     return f"the process ended with code {code}"
 
 
-def _serve(connection: Connection, plugins: list[Path], solvers: list[str], core: int | None) -> None:
+def _serve(
+    connection: Connection, desk_name: str, plugins: list[Path], solvers: list[str], core: int | None
+) -> None:
     """Answer requests until the other end closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what an interruption means
     if core is not None and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {core})
     try:
-        from fibercontact.bench.passes import Desk
-
-        desk = Desk(plugins, solvers)
+        desk = pkgutil.resolve_name(desk_name)(plugins, solvers)
         connection.send(("done", desk.fingerprints()))
     except Exception as fault:
         connection.send(("refused", _sentence(fault)))
