@@ -6,7 +6,6 @@ files call `H` is our `Hᵀ`, and their `f` is our `−f`.
 
 import io
 import os
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, csr_array
 
+from fibercontact.problem.hdf5 import (
+    full_name,
+    has,
+    load,
+    member,
+    open_file,
+    replace_file,
+    write_array,
+)
 from fibercontact.problem.incremental import (
     IncrementalProblem,
     ProblemError,
@@ -33,7 +41,6 @@ Ints = NDArray[np.int64]
 Sizes = dict[str, int]  # of the vectors of a solution
 
 CSC, CSR = -1, -2  # values of `nz`; any other is the number of entries of a triplet matrix
-DEFLATE_LIMIT = 1100  # gzip shrinks at most this much: a larger array in a file is a damaged one
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +78,7 @@ def read(path: str | os.PathLike[str]) -> FclibFile:
     """
     path = Path(path)
     try:
-        with _open(path) as file:
+        with open_file(path) as file:
             return _read_file(file, path)
     except ProblemError as fault:
         raise ProblemError(f"{path}: {fault}") from None
@@ -107,7 +114,7 @@ def write(
         _write_guesses(file, problem, guesses)
         if solution is not None:
             _write_solution(file.create_group("solution"), problem, solution)
-    _replace(Path(path), image.getvalue())
+    replace_file(Path(path), image.getvalue())
 
 
 # Writing
@@ -116,17 +123,17 @@ def write(
 def _write_incremental(group: h5py.Group, problem: IncrementalProblem) -> None:
     _write_csc(group.create_group("W"), problem.W.tocsr())
     vectors = group.create_group("vectors")
-    _write_array(vectors, "q", problem.b)
-    _write_array(vectors, "mu", problem.mu)
+    write_array(vectors, "q", problem.b)
+    write_array(vectors, "mu", problem.mu)
 
 
 def _write_step(group: h5py.Group, problem: StepProblem) -> None:
     _write_csc(group.create_group("M"), problem.M)
     _write_csc(group.create_group("H"), problem.H)
     vectors = group.create_group("vectors")
-    _write_array(vectors, "f", -problem.f)
-    _write_array(vectors, "w", problem.w)
-    _write_array(vectors, "mu", problem.mu)
+    write_array(vectors, "f", -problem.f)
+    write_array(vectors, "w", problem.w)
+    write_array(vectors, "mu", problem.mu)
 
 
 def _write_csc(group: h5py.Group, transpose: csr_array) -> None:
@@ -134,9 +141,9 @@ def _write_csc(group: h5py.Group, transpose: csr_array) -> None:
     n, m = transpose.shape
     for name, value in (("m", m), ("n", n), ("nzmax", transpose.nnz), ("nz", CSC)):
         _write_integer(group, name, value)
-    _write_array(group, "p", transpose.indptr.astype(np.int32))
-    _write_array(group, "i", transpose.indices.astype(np.int32))
-    _write_array(group, "x", transpose.data)
+    write_array(group, "p", transpose.indptr.astype(np.int32))
+    write_array(group, "i", transpose.indices.astype(np.int32))
+    write_array(group, "x", transpose.data)
 
 
 def _write_info(group: h5py.Group, title: str, description: str, math_info: str) -> None:
@@ -164,70 +171,30 @@ def _write_solution(group: h5py.Group, problem: IncrementalProblem | StepProblem
         if values is None:
             continue
         if name not in sizes:
-            raise ProblemError(f"{_label(group, name)} has no place beside this problem")
-        check_vector(_label(group, name), values, sizes[name])
-        _write_array(group, name, values)
+            raise ProblemError(f"{full_name(group, name)} has no place beside this problem")
+        check_vector(full_name(group, name), values, sizes[name])
+        write_array(group, name, values)
 
 
 def _write_integer(group: h5py.Group, name: str, value: int) -> None:
     group.create_dataset(name, data=np.array([value], dtype=np.int32))
 
 
-def _write_array(group: h5py.Group, name: str, values: NDArray[Any]) -> None:
-    if values.size == 0:
-        group.create_dataset(name, data=values)
-        return
-    group.create_dataset(
-        name,
-        data=values,
-        chunks=values.shape,
-        shuffle=True,
-        compression="gzip",
-        compression_opts=9,
-        fletcher32=True,
-    )
-
-
-def _replace(path: Path, content: bytes) -> None:
-    """Put `content` into the file in one step: an interruption leaves the old file or the new one."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    temporary = Path(name)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        temporary.chmod(0o644)  # mkstemp makes it private
-        temporary.replace(path)
-    except BaseException:
-        temporary.unlink()
-        raise
-
-
 # Reading
 
 
-def _open(path: Path) -> h5py.File:
-    try:
-        return h5py.File(path, "r")
-    except FileNotFoundError:
-        raise ProblemError("no such file") from None
-    except IsADirectoryError:
-        raise ProblemError("is a directory, not a file") from None
-    except Exception as fault:  # damaged bytes make h5py raise nearly any kind
-        raise ProblemError(f"not a readable HDF5 file ({fault})") from None
-
-
 def _read_file(file: h5py.File, path: Path) -> FclibFile:
-    if _has(file, "fclib_global"):
-        main = _member(file, "fclib_global", h5py.Group)
+    if has(file, "fclib_global"):
+        main = member(file, "fclib_global", h5py.Group)
         problem, sizes = _read_global(main, str(path))
-    elif _has(file, "fclib_local"):
-        main = _member(file, "fclib_local", h5py.Group)
+    elif has(file, "fclib_local"):
+        main = member(file, "fclib_local", h5py.Group)
         problem, sizes = _read_local(main, str(path))
     else:
         raise ProblemError("neither fclib_local nor fclib_global is in it")
     solution = None
-    if _has(file, "solution"):
-        solution = _read_solution(_member(file, "solution", h5py.Group), sizes)
+    if has(file, "solution"):
+        solution = _read_solution(member(file, "solution", h5py.Group), sizes)
     texts = (_read_text(main, name) for name in ("title", "description", "math_info"))
     return FclibFile(path, problem, _read_guesses(file, sizes), solution, *texts)
 
@@ -235,14 +202,14 @@ def _read_file(file: h5py.File, path: Path) -> FclibFile:
 def _read_local(main: h5py.Group, source: str) -> tuple[IncrementalProblem, Sizes]:
     _check_spacedim(main)
     size = _shape(main, "W")[0]
-    vectors = _member(main, "vectors", h5py.Group)
+    vectors = member(main, "vectors", h5py.Group)
     mu = _read_floats(vectors, "mu", _contacts("W", size))
     q = _read_floats(vectors, "q", size)
     W = _read_matrix(main, "W", (size, size))
     sizes = {"u": size, "r": size}
-    if _has(main, "V") != _has(main, "R"):
+    if has(main, "V") != has(main, "R"):
         raise ProblemError("V and R must both be there or both be absent")
-    if _has(main, "R") and (bilateral := _shape(main, "R")[0]):
+    if has(main, "R") and (bilateral := _shape(main, "R")[0]):
         sizes["l"] = bilateral
         s = _read_floats(vectors, "s", bilateral)
         V = _read_matrix(main, "V", (size, bilateral))
@@ -266,14 +233,14 @@ def _eliminate(W: csr_array, V: csr_array, R: csr_array, q: F64, s: F64) -> tupl
 def _read_global(main: h5py.Group, source: str) -> tuple[IncrementalProblem | StepProblem, Sizes]:
     _check_spacedim(main)
     d, size = _shape(main, "H")
-    vectors = _member(main, "vectors", h5py.Group)
+    vectors = member(main, "vectors", h5py.Group)
     mu = _read_floats(vectors, "mu", _contacts("H", size))
     w = _read_floats(vectors, "w", size)
     f = _read_floats(vectors, "f", d)
     M = symmetric_part(_read_matrix(main, "M", (d, d)), "M", symmetrise=True, source=source)
     step = StepProblem(M, -f, _read_matrix(main, "H", (d, size)).T.tocsr(), w, mu)
     sizes = {"v": d, "u": size, "r": size}
-    if _has(main, "G") and (bilateral := _shape(main, "G")[1]):
+    if has(main, "G") and (bilateral := _shape(main, "G")[1]):
         sizes["l"] = bilateral
         b = _read_floats(vectors, "b", bilateral)
         return condense_constrained(step, _read_matrix(main, "G", (d, bilateral)), b), sizes
@@ -282,25 +249,25 @@ def _read_global(main: h5py.Group, source: str) -> tuple[IncrementalProblem | St
 
 
 def _read_guesses(file: h5py.File, sizes: Sizes) -> tuple[Solution, ...]:
-    if not _has(file, "guesses"):
+    if not has(file, "guesses"):
         return ()
-    group = _member(file, "guesses", h5py.Group)
+    group = member(file, "guesses", h5py.Group)
     count = _read_integer(group, "number_of_guesses")
-    return tuple(_read_solution(_member(group, str(k), h5py.Group), sizes) for k in range(1, count + 1))
+    return tuple(_read_solution(member(group, str(k), h5py.Group), sizes) for k in range(1, count + 1))
 
 
 def _read_solution(group: h5py.Group, sizes: Sizes) -> Solution:
     return Solution(
-        **{name: _read_floats(group, name, size) for name, size in sizes.items() if _has(group, name)}
+        **{name: _read_floats(group, name, size) for name, size in sizes.items() if has(group, name)}
     )
 
 
 def _read_text(main: h5py.Group, name: str) -> str:
-    if not _has(main, "info") or not _has(info := _member(main, "info", h5py.Group), name):
+    if not has(main, "info") or not has(info := member(main, "info", h5py.Group), name):
         return ""
-    text = _load(info, name, "SO", "text")
+    text = load(info, name, "SO", "text")
     if not isinstance(text, bytes):
-        raise ProblemError(f"{_label(info, name)} is not one text")
+        raise ProblemError(f"{full_name(info, name)} is not one text")
     return text.split(b"\0")[0].decode(errors="replace")
 
 
@@ -319,20 +286,20 @@ def _contacts(name: str, size: int) -> int:
 
 
 def _shape(main: h5py.Group, name: str) -> tuple[int, int]:
-    group = _member(main, name, h5py.Group)
+    group = member(main, name, h5py.Group)
     m, n = _read_integer(group, "m"), _read_integer(group, "n")
     if m < 0 or n < 0:
-        raise ProblemError(f"{_label(main, name)} has a negative size: {m} × {n}")
+        raise ProblemError(f"{full_name(main, name)} has a negative size: {m} × {n}")
     return m, n
 
 
 def _read_matrix(main: h5py.Group, name: str, shape: tuple[int, int]) -> csr_array:
     """Read a matrix, whose `shape` is known from vectors: a wrong size must not become an allocation."""
     m, n = _shape(main, name)
-    label = _label(main, name)
+    label = full_name(main, name)
     if (m, n) != shape:
         raise ProblemError(f"{label} is {m} × {n}, not {shape[0]} × {shape[1]}")
-    group = _member(main, name, h5py.Group)
+    group = member(main, name, h5py.Group)
     nz, nzmax = _read_integer(group, "nz"), _read_integer(group, "nzmax")
     p, i = (_read_indices(group, key) for key in "pi")
     x = _read_floats(group, "x")
@@ -384,63 +351,21 @@ def _check_range(label: str, indices: Ints, size: int) -> None:
         raise ProblemError(f"{label} holds {indices[at]} at {at}, out of range 0 to {size - 1}")
 
 
-# The only places that touch HDF5: damaged bytes make h5py raise nearly any kind of exception.
-
-
-def _label(group: h5py.Group, name: str) -> str:
-    return f"{group.name}/{name}".lstrip("/")
-
-
-def _has(group: h5py.Group, name: str) -> bool:
-    try:
-        return name in group
-    except Exception as fault:
-        raise ProblemError(f"{_label(group, name)} cannot be read ({fault})") from None
-
-
-def _member(group: h5py.Group, name: str, kind: type) -> Any:
-    try:
-        member = group.get(name)
-    except Exception as fault:
-        raise ProblemError(f"{_label(group, name)} cannot be read ({fault})") from None
-    if member is None:
-        raise ProblemError(f"{_label(group, name)} is missing")
-    if not isinstance(member, kind):
-        raise ProblemError(f"{_label(group, name)} is not a {kind.__name__.lower()}")
-    return member
-
-
-def _load(group: h5py.Group, name: str, kinds: str, wanted: str) -> Any:
-    """Value of a dataset whose type is one of numpy's `kinds`, `wanted` in words."""
-    dataset, label = _member(group, name, h5py.Dataset), _label(group, name)
-    try:
-        dtype, count = dataset.dtype, dataset.size
-        if dtype.kind not in kinds:
-            raise ProblemError(f"{label} holds {dtype}, not {wanted}")
-        if count is None or count * dtype.itemsize > DEFLATE_LIMIT * group.file.id.get_filesize():
-            raise ProblemError(f"{label} has an impossible size")
-        return dataset[()]
-    except ProblemError:
-        raise
-    except Exception as fault:
-        raise ProblemError(f"{label} cannot be read ({fault})") from None
-
-
 def _read_integer(group: h5py.Group, name: str) -> int:
-    value = np.asarray(_load(group, name, "iu", "integers"))
+    value = np.asarray(load(group, name, "iu", "integers"))
     if value.size != 1:
-        raise ProblemError(f"{_label(group, name)} must be one integer: its shape is {value.shape}")
+        raise ProblemError(f"{full_name(group, name)} must be one integer: its shape is {value.shape}")
     return int(value.item())
 
 
 def _read_indices(group: h5py.Group, name: str) -> Ints:
-    return _one_dimensional(group, name, np.asarray(_load(group, name, "iu", "integers"), dtype=np.int64))
+    return _one_dimensional(group, name, np.asarray(load(group, name, "iu", "integers"), dtype=np.int64))
 
 
 def _read_floats(group: h5py.Group, name: str, size: int | None = None) -> F64:
-    values = np.asarray(_load(group, name, "f", "floating-point numbers"), dtype=np.float64)
+    values = np.asarray(load(group, name, "f", "floating-point numbers"), dtype=np.float64)
     _one_dimensional(group, name, values)
-    label = _label(group, name)
+    label = full_name(group, name)
     if size is not None and len(values) != size:
         raise ProblemError(f"{label} has {len(values)} values, not {size}")
     check_finite(label, values, 1, "value")
@@ -449,5 +374,5 @@ def _read_floats(group: h5py.Group, name: str, size: int | None = None) -> F64:
 
 def _one_dimensional(group: h5py.Group, name: str, values: Any) -> Any:
     if values.ndim != 1:
-        raise ProblemError(f"{_label(group, name)} must be one-dimensional: its shape is {values.shape}")
+        raise ProblemError(f"{full_name(group, name)} must be one-dimensional: its shape is {values.shape}")
     return values
