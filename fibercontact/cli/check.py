@@ -12,7 +12,7 @@ from fibercontact.cli.errors import user_errors
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from fibercontact.bench.conformance import Verdict
+    from fibercontact.bench.conformance.suite import Verdict
     from fibercontact.local.registry import Configured
 
 __all__ = ["check"]
@@ -48,8 +48,9 @@ def check(
     fibercontact check pyramid:facets=8
     """
     with user_errors():
-        from fibercontact.bench.examination import examine_apart
-        from fibercontact.bench.report_card import headline, holds, markdown
+        from fibercontact.bench.conformance.apart import examine_apart
+        from fibercontact.bench.conformance.card import headline, markdown
+        from fibercontact.bench.conformance.suite import holds
 
         plugins, local = _find(solver)
         verdicts = _show(examine_apart(local, plugins, seconds), local)
@@ -81,7 +82,7 @@ def _show(verdicts: "Iterable[Verdict]", local: "Configured") -> "list[Verdict]"
     """Print the card, and say meanwhile what is being looked at."""
     from rich.console import Console
 
-    from fibercontact.bench.report_card import COLUMNS, lines_of
+    from fibercontact.bench.conformance.card import COLUMNS, lines_of
 
     console = Console(width=None if sys.stdout.isatty() else 160, highlight=False)
     found = []

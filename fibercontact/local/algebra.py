@@ -139,11 +139,12 @@ def stick_impulse(t: Tangential, b: Vector) -> tuple[bool, Vector]:
     """The impulse that stops the contact, and whether there is one.
 
     A singular `W̄` is shifted: when `b̄` is in its range the impulse stays bounded, when it is not the contact
-    cannot be stopped.
+    cannot be stopped. Nor is it by an impulse too large for its residual to mean anything.
     """
     trace = t.trace * t.W_NN + t.w1 * t.w1 + t.w2 * t.w2  # W_NN tr(W_TT)
     if t.det * t.W_NN > SINGULAR * trace * abs(t.trace):
-        return True, slip_impulse(t, 0.0)
+        r = slip_impulse(t, 0.0)
+        return (t.W_NN + trace / t.W_NN) * norm(r) <= 3.0 * LARGEST * norm(b), r
     shift = SHIFT * trace / t.W_NN
     r = slip_impulse(t, shift)
     return shift * math.sqrt(r[1] * r[1] + r[2] * r[2]) <= LEFT_OVER * norm(b), r

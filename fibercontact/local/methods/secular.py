@@ -32,7 +32,8 @@ from fibercontact.problem.cone import Vector, norm
 __all__ = ["solver"]
 
 ACCEPTED = 1e-6
-"""Residual, relative to b, above which a root near stick is a failure: `W` is singular and b out of its range."""
+"""Residual, relative to b, above which a root is a failure. It is looked at near stick, where `W` may be singular and
+b out of its range, and when `sigma r` is so large that the tolerance on alpha is none on the velocity."""
 
 
 @jit
@@ -124,7 +125,9 @@ def kernel(
         g, limit, newton = newton_step(p, alpha)
         if abs(g) <= tolerance * limit or high - low <= 4e-16 * low:
             r = on_cone(slip_impulse(t, alpha), mu)
-            sound = alpha > SHIFT * (t.trace + t.W_NN) or law_residual(W, b, mu, r) <= ACCEPTED * norm(b)
+            size = (W[0][0] + W[1][1] + W[2][2]) * (1.0 + mu) * r[0]
+            steady = alpha > SHIFT * (t.trace + t.W_NN) and tolerance * size <= -ACCEPTED * b[0]
+            sound = steady or law_residual(W, b, mu, r) <= ACCEPTED * norm(b)
             return Status.CONVERGED if sound else Status.INACCURATE, r, k + 1
         if g > 0.0:
             low = alpha

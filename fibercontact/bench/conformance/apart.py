@@ -7,18 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fibercontact.bench.conformance import (
-    CHECKS,
-    PAGE,
-    Outcome,
-    Subject,
-    Verdict,
-    answers,
-    examine,
-    from_page,
-    literals,
-    ordinary,
-)
+from fibercontact.bench.conformance.contacts import PAGE, from_page, ordinary
+from fibercontact.bench.conformance.required import answers
+from fibercontact.bench.conformance.subject import Subject
+from fibercontact.bench.conformance.suite import CHECKS, Outcome, Verdict, examine, failed
 from fibercontact.bench.worker import START_SECONDS, Crashed, Hung, Refused, Worker
 from fibercontact.local.registry import Configured, configure, registered
 
@@ -86,11 +78,11 @@ class _Examiner:
         try:
             found = self._ask(name)
         except Hung:
-            found = self._lose(name, f"no answer within {self._seconds:g} s")
+            found = self._lose(name, f"no answer within {self._seconds:g} s: it hangs, or is very slow")
         except Crashed as fault:
             found = self._lose(name, str(fault))
         except Refused as fault:
-            found = Verdict(name, Outcome.FAIL, str(fault))
+            found = failed(self._local, name, str(fault))
         if name == COMPILES and found.outcome == Outcome.FAIL:
             self._stopped = "it does not compile"
         return found
@@ -117,12 +109,11 @@ class _Examiner:
             return found
         at = int(np.argmax(differs))
         reason = f"{first[at].tolist()} in one process, {second[at].tolist()} in another"
-        return Verdict(found.check, Outcome.FAIL, reason, literals(ordinary()[at], self._local))
+        return failed(self._local, found.check, reason, ordinary()[at])
 
     def _lose(self, name: str, reason: str) -> Verdict:
         self._lost += 1
         if self._lost == LOST:
             self._stopped = f"{LOST} processes were lost"
         page = np.fromfile(self._page)
-        known = bool(page.any())
-        return Verdict(name, Outcome.FAIL, reason, literals(from_page(page), self._local) if known else "")
+        return failed(self._local, name, reason, from_page(page) if page.any() else None)

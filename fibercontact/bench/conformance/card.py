@@ -2,19 +2,15 @@
 
 from collections.abc import Iterator, Sequence
 
-from fibercontact.bench.conformance import Outcome, Table, Verdict, asks
+from fibercontact.bench.conformance.reports import Table
+from fibercontact.bench.conformance.suite import Outcome, Verdict, asks, holds
 from fibercontact.bench.environment import cpu_model, versions
 from fibercontact.bench.passes import options_text
 from fibercontact.local.registry import Configured
 
-__all__ = ["COLUMNS", "headline", "holds", "lines_of", "markdown"]
+__all__ = ["COLUMNS", "headline", "lines_of", "markdown"]
 
 COLUMNS = ("check", "outcome", "the contract asks", "seen")
-
-
-def holds(verdicts: Sequence[Verdict]) -> bool:
-    """Whether the contract holds: nothing failed and nothing was left out."""
-    return not any(verdict.outcome in (Outcome.FAIL, Outcome.NOT_RUN) for verdict in verdicts)
 
 
 def headline(local: Configured, verdicts: Sequence[Verdict]) -> str:

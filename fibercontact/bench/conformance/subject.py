@@ -1,0 +1,101 @@
+"""The solver under examination, and what it means to break the contract."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fibercontact.bench.conformance.contacts import PAGE, Contact, numbers
+from fibercontact.local.algebra import affine
+from fibercontact.local.contract import HONEST, Matrix, Status
+from fibercontact.local.registry import Configured
+from fibercontact.problem.cone import Vector, natural_map, norm
+
+__all__ = ["VISITS", "Answer", "Broken", "Subject", "Unasked", "distance", "status_name"]
+
+Array = NDArray[np.float64]
+
+VISITS = 1000
+"""Visits in which a step must come to the solution of a kind contact."""
+SETTLED = 1e-10
+"""Residual at which a step is not visited again."""
+
+
+class Broken(Exception):
+    """The contract is broken; by this contact, if it takes one to see it."""
+
+    def __init__(self, reason: str, contact: Contact | None = None) -> None:
+        super().__init__(reason)
+        self.reason, self.contact = reason, contact
+
+
+class Unasked(Exception):  # noqa: N818
+    """The contract does not ask this of such a solver; the message says why."""
+
+
+class Answer(NamedTuple):
+    """What a kernel returned."""
+
+    status: int
+    r: Vector
+    iterations: int
+
+
+class Subject:
+    """The solver under examination. `page` (16,) holds the input that its kernel got last, come what may."""
+
+    def __init__(self, local: Configured, page: Array | None = None) -> None:
+        self.local, self.page = local, np.zeros(PAGE) if page is None else page
+        self.exact, self.facets = local.registered.solver.exact, local.facets
+
+    def visit(self, contact: Contact, options: Array | None = None) -> Answer:
+        """Call the kernel, with a copy of the options unless they are given."""
+        self.page[:] = numbers(contact)
+        kernel = self.local.kernel()
+        try:
+            answer = kernel(*contact, self.local.options.copy() if options is None else options)
+            return Answer(*answer)
+        except Exception as fault:
+            raise Broken(f"raised {type(fault).__name__}: {fault}", contact) from fault
+
+    def residual(self, contact: Contact, r: Vector) -> float:
+        """Natural map of the solver's law relative to b (absolute when b = 0), as the harness measures it."""
+        W, b, mu, _ = contact
+        size = norm(natural_map(affine(W, r, b), r, mu, _sigma(W), self.facets))
+        return size / (norm(b) or 1.0) if math.isfinite(size) else math.inf
+
+    def settle(self, contact: Contact) -> tuple[bool, Vector]:
+        """The answer, and whether it is one: of one visit, or of as many as a step needs."""
+        answer = self.visit(contact)
+        if self.exact:
+            return answer.status == Status.CONVERGED, answer.r
+        for _ in range(VISITS):
+            if not self.residual(contact, answer.r) > SETTLED:
+                break
+            answer = self.visit(contact._replace(r=answer.r))
+        return self.residual(contact, answer.r) <= HONEST, answer.r
+
+    def solve(self, contact: Contact) -> Vector:
+        """The answer to a contact that must be solved."""
+        solved, r = self.settle(contact)
+        if not solved and self.exact:
+            raise Broken(f"not solved: {status_name(self.visit(contact).status)}", contact)
+        if not solved:
+            left = self.residual(contact, r)
+            raise Broken(f"not solved by {VISITS} visits: the residual is {left:.1e}", contact)
+        return r
+
+
+def _sigma(W: Matrix) -> float:
+    return (W[0][0] + W[1][1] + W[2][2]) / 3.0
+
+
+def status_name(status: int) -> str:
+    """Name of a status, or the number that is none."""
+    return Status(status).name if status in set(Status) else str(status)
+
+
+def distance(contact: Contact, r: Vector, wanted: Vector) -> float:
+    """Between two impulses, in velocity units relative to b."""
+    return _sigma(contact.W) * math.dist(r, wanted) / (norm(contact.b) or 1.0)
