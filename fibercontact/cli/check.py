@@ -94,9 +94,9 @@ def _show(verdicts: "Iterable[Verdict]", local: "Configured") -> "list[Verdict]"
     for verdict in found:
         if verdict.table:
             console.print(_grid(verdict.table.columns, verdict.table.rows, verdict.check))
-        if verdict.counterexample:
-            console.print(f"{verdict.check}: {verdict.sentence}; the input:", markup=False)
-            console.print(verdict.counterexample, markup=False, soft_wrap=True)
+        if verdict.detail:
+            console.print(f"\n{verdict.check}: {verdict.sentence}", markup=False, style="bold")
+            console.print(verdict.detail, markup=False, soft_wrap=True)
     return found
 
 

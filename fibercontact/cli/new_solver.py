@@ -23,9 +23,8 @@ def new_solver(
     Example: fibercontact new-solver my-solver
     """
     with user_errors():
-        file = out or Path(f"{_module(name)}.py")
-        if out:
-            _module(file.stem)
+        file = out or Path(f"{name.replace('-', '_')}.py")
+        _check_name(file.stem)
         with file.open("x", encoding="utf-8") as stream:
             stream.write(_template())
     typer.echo(f"{file} written; it works as it is. Next:")
@@ -35,16 +34,17 @@ def new_solver(
     )
 
 
-def _module(name: str) -> str:
-    """Name of the module of a solver; raises `SolverError` when it cannot be one."""
-    from fibercontact.local.registry import SolverError
+def _check_name(module: str) -> None:
+    """Raise `SolverError` unless a file and a solver can have this name."""
+    from fibercontact.local.registry import SolverError, registered
 
-    module = name.replace("-", "_")
+    name = module.replace("_", "-")
     if not module.isidentifier() or keyword.iskeyword(module):
-        raise SolverError(f"{name!r} cannot name a Python module: take letters, digits and dashes")
+        raise SolverError(f"{module!r} cannot name a Python module: take letters, digits and dashes")
     if module in sys.stdlib_module_names:
-        raise SolverError(f"{name!r} is a module of Python itself, which a file of that name would hide")
-    return module
+        raise SolverError(f"{module!r} is a module of Python itself, which a file of that name would hide")
+    if name in registered():
+        raise SolverError(f"{name!r} is a solver already: take another name")
 
 
 def _template() -> str:

@@ -46,15 +46,17 @@ class Desk:
         return answers(Subject(self._local))
 
 
-def examine_apart(local: Configured, plugins: Sequence[Path], seconds: float) -> Iterator[Verdict]:
-    """Run all checks, each of at most `seconds`; one verdict after the other, as they come.
+def examine_apart(
+    local: Configured, plugins: Sequence[Path], seconds: float, checks: Sequence[str] = tuple(CHECKS)
+) -> Iterator[Verdict]:
+    """Run the checks, each of at most `seconds`; one verdict after the other, as they come.
 
     Raises `BenchError` when the plugins cannot be loaded in a new process.
     """
     with tempfile.TemporaryDirectory() as folder:
         examiner = _Examiner(local, plugins, seconds, Path(folder, "page"))
         try:
-            for name in CHECKS:
+            for name in checks:
                 yield examiner.verdict(name)
         finally:
             examiner.end()

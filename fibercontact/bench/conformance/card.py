@@ -32,11 +32,11 @@ def markdown(local: Configured, verdicts: Sequence[Verdict]) -> str:
     parts = [f"# {headline(local, verdicts)}", _subject(local)]
     parts.append(_grid(Table(COLUMNS, list(lines_of(verdicts)))))
     for verdict in verdicts:
-        if verdict.counterexample:
+        if verdict.detail:
             parts += [
-                f"## {verdict.check}: the first input that breaks the contract",
+                f"## {verdict.check}: what breaks the contract",
                 verdict.sentence,
-                f"```python\n{verdict.counterexample}\n```",
+                f"```\n{verdict.detail}\n```",
             ]
         if verdict.table:
             parts += [f"## {verdict.check}", verdict.sentence, _grid(verdict.table)]

@@ -23,11 +23,11 @@ SETTLED = 1e-10
 
 
 class Broken(Exception):
-    """The contract is broken; by this contact, if it takes one to see it."""
+    """The contract is broken; by this contact, or with this to say about it."""
 
-    def __init__(self, reason: str, contact: Contact | None = None) -> None:
+    def __init__(self, reason: str, contact: Contact | None = None, detail: str = "") -> None:
         super().__init__(reason)
-        self.reason, self.contact = reason, contact
+        self.reason, self.contact, self.detail = reason, contact, detail
 
 
 class Unasked(Exception):  # noqa: N818
@@ -70,10 +70,12 @@ class Subject:
         answer = self.visit(contact)
         if self.exact:
             return answer.status == Status.CONVERGED, answer.r
+        before = contact.r
         for _ in range(VISITS):
-            if not self.residual(contact, answer.r) > SETTLED:
+            if answer.r == before or not self.residual(contact, answer.r) > SETTLED:
                 break
-            answer = self.visit(contact._replace(r=answer.r))
+            before = answer.r
+            answer = self.visit(contact._replace(r=before))
         return self.residual(contact, answer.r) <= HONEST, answer.r
 
     def solve(self, contact: Contact) -> Vector:
@@ -83,7 +85,7 @@ class Subject:
             raise Broken(f"not solved: {status_name(self.visit(contact).status)}", contact)
         if not solved:
             left = self.residual(contact, r)
-            raise Broken(f"not solved by {VISITS} visits: the residual is {left:.1e}", contact)
+            raise Broken(f"{VISITS} visits do not solve it: the residual is {left:.1e}", contact)
         return r
 
 

@@ -1,7 +1,7 @@
 """The suite: every check by its name, run in this process."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -28,12 +28,12 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class Verdict:
-    """One line of the report card; `counterexample` is the first input that breaks the contract, as Python."""
+    """One line of the report card; `detail` is the first input that breaks the contract, as Python."""
 
     check: str
     outcome: Outcome
     sentence: str
-    counterexample: str = ""
+    detail: str = ""
     table: Table | None = None
 
 
@@ -52,7 +52,8 @@ def examine(local: Configured, check: str, page: NDArray[np.float64] | None = No
     except Unasked as reason:
         return Verdict(check, Outcome.NOT_ASKED, str(reason))
     except Broken as fault:
-        return failed(local, check, fault.reason, fault.contact)
+        verdict = failed(local, check, fault.reason, fault.contact)
+        return replace(verdict, detail=fault.detail) if fault.detail else verdict
     if isinstance(found, Report):
         return Verdict(check, Outcome.REPORTED, found.sentence, table=found.table)
     return Verdict(check, Outcome.PASS, found)
