@@ -86,7 +86,9 @@ def _show(verdicts: "Iterable[Verdict]", local: "Configured") -> "list[Verdict]"
 
     console = Console(width=None if sys.stdout.isatty() else 160, highlight=False)
     found = []
-    with Console(stderr=True).status(f"{local.label}: starting") as status:
+    with Console(stderr=True).status(
+        f"{local.label}: starting (the first time, compiling: a minute)"
+    ) as status:
         for verdict in verdicts:
             found.append(verdict)
             status.update(f"{local.label}: {verdict.check} {verdict.outcome}")
@@ -95,15 +97,18 @@ def _show(verdicts: "Iterable[Verdict]", local: "Configured") -> "list[Verdict]"
         if verdict.table:
             console.print(_grid(verdict.table.columns, verdict.table.rows, verdict.check))
         if verdict.detail:
-            console.print(f"\n{verdict.check}: {verdict.sentence}", markup=False, style="bold")
+            console.print(
+                f"\n{verdict.check}: {verdict.sentence}", markup=False, style="bold", soft_wrap=True
+            )
             console.print(verdict.detail, markup=False, soft_wrap=True)
     return found
 
 
 def _grid(columns: Sequence[str], rows: Iterable[Sequence[str]], title: str = "") -> "Table":
+    from rich.markup import escape
     from rich.table import Table
 
     grid = Table(*columns, title=title or None, title_justify="left")
     for row in rows:
-        grid.add_row(*row, style="bold red" if "FAIL" in row else None)
+        grid.add_row(*map(escape, row), style="bold red" if "FAIL" in row else None)
     return grid

@@ -2,7 +2,8 @@
 
 In slip `u_N = 0` and `u_T = -alpha r_T` for some `alpha > 0`. That makes `r` a function of alpha alone, and
 `phi(alpha) = |r_T| - mu r_N` is positive near 0, where stick was excluded, and negative at `largest_alpha`: the root
-between them is halved in. Reference: THEORY §3. Slow, and cannot miss; the accuracy is that of the data.
+between them is closed in on by halves. Reference: THEORY §3. Slow and steady; misses where `W` is so weak along the
+impulse that rounding hides b.
 """
 
 # The first line above is what `fibercontact solvers` and the reports say of this solver: keep it one sentence.

@@ -55,10 +55,12 @@ def hard_contacts(subject: Subject) -> Report:
     missed = residuals(contacts, r, subject.facets) > HONEST
     missed |= subject.exact & (status != Status.CONVERGED)
     rows = []
-    for family in np.unique(contacts.family):
+    for family in sorted(set(contacts.family.tolist())):
         mine = contacts.family == family
         how = _by_status(status[mine & missed])
-        rows.append((str(family), str(mine.sum()), f"{100 * missed[mine].mean():.1f}", how))
+        rows.append(
+            (family.removeprefix("known: "), str(mine.sum()), f"{100 * missed[mine].mean():.1f}", how)
+        )
     sentence = f"{100 * missed.mean():.1f} % of {contacts.m} missed"
     return Report(sentence, Table(("family", "contacts", "missed (%)", "by status"), rows))
 

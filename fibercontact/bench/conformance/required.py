@@ -29,7 +29,7 @@ from fibercontact.bench.conformance.contacts import (
     spoilt_starts,
     turned,
 )
-from fibercontact.bench.conformance.subject import Broken, Subject, Unasked, distance, status_name
+from fibercontact.bench.conformance.subject import Broken, Subject, Unasked, distance, shown, status_name
 from fibercontact.local.contract import HONEST, Status
 from fibercontact.local.registry import SolverError
 from fibercontact.problem.cone import COULOMB, Vector, project
@@ -78,7 +78,7 @@ def returns(subject: Subject) -> str:
         if answer.iterations < 0:
             raise Broken(f"{answer.iterations} iterations", contact)
         if answer.status == Status.CONVERGED and not _finite(answer.r):
-            raise Broken(f"CONVERGED with the impulse {answer.r}", contact)
+            raise Broken(f"CONVERGED with the impulse {shown(answer.r)}", contact)
     return f"{len(ordinary())} contacts"
 
 
@@ -107,7 +107,10 @@ def _exact_answers(subject: Subject, cases: Sequence[Case]) -> str:
     for contact, wanted in posed(cases):
         r = subject.solve(contact)
         if subject.facets == COULOMB:
-            error, what = distance(contact, r, wanted), f"{wanted} is the answer, not {r}: off by"
+            error, what = (
+                distance(contact, r, wanted),
+                f"{shown(wanted)} is the answer, not {shown(r)}: off by",
+            )
         else:
             error, what = subject.residual(contact, r), "the residual of its own law is"
         if not error <= NEAR:
@@ -126,7 +129,7 @@ def cone(subject: Subject) -> str:
         claims += 1
         outside = distance(contact, answer.r, project(answer.r, contact.mu, subject.facets))
         if not outside <= HONEST:
-            raise Broken(f"{answer.r} is outside, by {outside:.1e} relative to b", contact)
+            raise Broken(f"{shown(answer.r)} is outside, by {outside:.1e} relative to b", contact)
     return f"{claims} impulses"
 
 
@@ -141,7 +144,7 @@ def honest(subject: Subject) -> str:
             continue
         residual = subject.residual(contact, answer.r)
         if not residual <= HONEST:
-            raise Broken(f"claims the answer {answer.r}, whose residual is {residual:.1e}", contact)
+            raise Broken(f"claims the answer {shown(answer.r)}, whose residual is {residual:.1e}", contact)
         claims, worst = claims + 1, max(worst, residual)
     return f"{claims} claims in {len(contacts)} contacts, the largest residual {worst:.0e}"
 
@@ -171,7 +174,7 @@ def _related(subject: Subject, relations: Sequence[Relation]) -> str:
                 )
             wanted = _triple(map_ @ np.array(r))
             if solved and not distance(other, found, wanted) <= NEAR:
-                raise Broken(f"the answer is {found}, not the transformed one {wanted}", other)
+                raise Broken(f"the answer is {shown(found)}, not the transformed one {shown(wanted)}", other)
     return f"{FEW} contacts, {len(relations)} transformations each"
 
 
@@ -199,7 +202,7 @@ def _stays(subject: Subject, start: Contact) -> None:
     if subject.exact and again.status != Status.CONVERGED:
         raise Broken(f"not solved from its solution: {status_name(again.status)}", start)
     if not distance(start, again.r, start.r) <= NEAR:
-        raise Broken(f"left the solution for {again.r}", start)
+        raise Broken(f"left the solution for {shown(again.r)}", start)
 
 
 def deterministic(subject: Subject) -> str:
@@ -253,9 +256,9 @@ def _not_passed_on(subject: Subject, contact: Contact) -> None:
     if answer.status != Status.CONVERGED:
         return
     if not _finite(answer.r):
-        raise Broken(f"CONVERGED with the impulse {answer.r}", contact)
+        raise Broken(f"CONVERGED with the impulse {shown(answer.r)}", contact)
     if subject.exact and not subject.residual(contact, answer.r) <= HONEST:
-        raise Broken(f"claims the answer {answer.r}", contact)
+        raise Broken(f"claims the answer {shown(answer.r)}", contact)
 
 
 def _finite(r: Vector) -> bool:

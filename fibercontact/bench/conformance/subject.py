@@ -12,7 +12,7 @@ from fibercontact.local.contract import HONEST, Matrix, Status
 from fibercontact.local.registry import Configured
 from fibercontact.problem.cone import Vector, natural_map, norm
 
-__all__ = ["VISITS", "Answer", "Broken", "Subject", "Unasked", "distance", "status_name"]
+__all__ = ["VISITS", "Answer", "Broken", "Subject", "Unasked", "distance", "shown", "status_name"]
 
 Array = NDArray[np.float64]
 
@@ -96,6 +96,11 @@ def _sigma(W: Matrix) -> float:
 def status_name(status: int) -> str:
     """Name of a status, or the number that is none."""
     return Status(status).name if status in set(Status) else str(status)
+
+
+def shown(r: Vector) -> str:
+    """An impulse to six digits."""
+    return f"({r[0]:.6g}, {r[1]:.6g}, {r[2]:.6g})"
 
 
 def distance(contact: Contact, r: Vector, wanted: Vector) -> float:
