@@ -104,6 +104,14 @@ FAULTS = {
     "outside the cone": (
         "x = (x[0], 1.01 * x[1], 1.01 * x[2])", {"stick", "slip", "cone", "honest", "fixed point", "not finite"}
     ),
+    "holds what parts": (
+        "if b[0] > 0.0: x = (0.01 * b[0] / large, 0.0, 0.0)",
+        {"take off", "frictionless", "honest", "fixed point", "not finite"},
+    ),
+    "friction where there is none": (
+        "if mu == 0.0 and b[0] < 0.0: x = (x[0], -0.01 * b[1] / large, 0.0)",
+        {"frictionless", "honest", "fixed point", "not finite"},
+    ),
     "false claims at ill-conditioned contacts": (
         "if large > 30 * small: x = (1.1 * x[0], 1.1 * x[1], 1.1 * x[2])",
         {"honest"},
@@ -140,6 +148,11 @@ def test_a_fault_is_seen_by_the_checks_that_should(tmp_path, name):
     found = broken(configure("my-solver", registered([plugin(tmp_path, fault)])))
     assert set(found) == expected
     assert all(verdict.sentence and verdict.detail for verdict in found.values())
+
+
+def test_the_faults_make_every_check_fail():
+    seen = set().union(*(expected for _, expected in FAULTS.values()))
+    assert seen == set(REQUIRED) - {"declared", "compiles"}  # which have tests below
 
 
 STEP_FAULTS = {

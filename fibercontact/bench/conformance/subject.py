@@ -1,9 +1,10 @@
 """The solver under examination, and what it means to break the contract."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba.core import config
 from numpy.typing import NDArray
 
 from fibercontact.bench.conformance.contacts import PAGE, Contact, numbers
@@ -52,10 +53,11 @@ class Subject:
     def visit(self, contact: Contact, options: Array | None = None) -> Answer:
         """Call the kernel, with a copy of the options unless they are given."""
         self.page[:] = numbers(contact)
-        kernel = self.local.kernel()
+        kernel, options = self.local.kernel(), self.local.options.copy() if options is None else options
         try:
-            answer = kernel(*contact, self.local.options.copy() if options is None else options)
-            return Answer(*answer)
+            if config.DISABLE_JIT:
+                return _interpreted(kernel, contact, options)
+            return Answer(*kernel(*contact, options))
         except Exception as fault:
             raise Broken(f"raised {type(fault).__name__}: {fault}", contact) from fault
 
@@ -87,6 +89,16 @@ class Subject:
             left = self.residual(contact, r)
             raise Broken(f"{VISITS} visits do not solve it: the residual is {left:.1e}", contact)
         return r
+
+
+def _interpreted(kernel: Any, contact: Contact, options: Array) -> Answer:
+    """Call a kernel that is not compiled, with numbers whose division by zero is an infinity as if it were."""
+    x = np.array(numbers(contact))
+    with np.errstate(all="ignore"):
+        status, r, iterations = kernel(
+            (tuple(x[:3]), tuple(x[3:6]), tuple(x[6:9])), tuple(x[9:12]), x[12], tuple(x[13:]), options
+        )
+    return Answer(status, (float(r[0]), float(r[1]), float(r[2])), iterations)
 
 
 def _sigma(W: Matrix) -> float:
