@@ -1,8 +1,8 @@
 """Worker processes that may hang or crash without taking the run with them."""
 
+import importlib
 import multiprocessing
 import os
-import pkgutil
 import signal
 from collections.abc import Sequence
 from multiprocessing.connection import Connection
@@ -12,8 +12,6 @@ from typing import Any
 from fibercontact.bench.protocol import BenchError
 
 __all__ = ["Crashed", "Ended", "Hung", "Refused", "Worker"]
-
-PASSES = "fibercontact.bench.passes:Desk"
 
 START_SECONDS = 900.0
 """For imports and, the first time, compilation."""
@@ -40,12 +38,11 @@ class Ended(Exception):
 
 
 class Worker:
-    """A desk in a process of its own, replaced by a new one when it hangs or crashes.
+    """A `Desk` in a process of its own, replaced by a new one when it hangs or crashes.
 
-    `desk` names its class, by default that of the passes: made from the plugins and the names of the solvers, it
-    answers requests by its methods and has `fingerprints()`. `core` pins the process. `fingerprints` are those of
-    the solvers that the run began with: `BenchError` is raised when a process comes up with others, or cannot
-    load the solvers at all.
+    `desk` names the module of the `Desk`; `core` pins the process. `fingerprints` are those of the solvers that
+    the run began with: `BenchError` is raised when a process comes up with others, or cannot load the solvers at
+    all.
     """
 
     def __init__(
@@ -53,7 +50,7 @@ class Worker:
         plugins: Sequence[Path],
         fingerprints: dict[str, str],
         core: int | None = None,
-        desk: str = PASSES,
+        desk: str = "fibercontact.bench.passes",
     ) -> None:
         self._plugins, self._fingerprints, self._core, self._desk = list(plugins), fingerprints, core, desk
         self._process: Any = None
@@ -74,16 +71,16 @@ class Worker:
             self.load(path, start)
         return self.ask("solve", (task,), limit)
 
-    def ask(self, name: str, arguments: tuple[Any, ...], limit: float) -> Any:
-        """What the desk's method `name` answers. Raises `Hung`, `Crashed` or `Refused`."""
-        connection = self._connection or self._start()
-        return self._answer(connection, (name, arguments, limit), limit)
-
     def end(self) -> None:
         """Kill the process, now and for good; may be called from another thread."""
         self._ended = True
         if self._process is not None:
             self._process.kill()
+
+    def ask(self, name: str, arguments: tuple[Any, ...], limit: float) -> Any:
+        """The desk's answer to one request. Raises `Hung`, `Crashed` or `Refused`."""
+        connection = self._connection or self._start()
+        return self._answer(connection, (name, arguments, limit), limit)
 
     def _answer(self, connection: Connection, request: Any, limit: float) -> Any:
         if self._ended:
@@ -139,14 +136,14 @@ def _cause(code: int | None) -> str:
 
 
 def _serve(
-    connection: Connection, desk_name: str, plugins: list[Path], solvers: list[str], core: int | None
+    connection: Connection, module: str, plugins: list[Path], solvers: list[str], core: int | None
 ) -> None:
     """Answer requests until the other end closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what an interruption means
     if core is not None and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {core})
     try:
-        desk = pkgutil.resolve_name(desk_name)(plugins, solvers)
+        desk = importlib.import_module(module).Desk(plugins, solvers)
         connection.send(("done", desk.fingerprints()))
     except Exception as fault:
         connection.send(("refused", _sentence(fault)))

@@ -18,6 +18,7 @@ __all__ = [
     "eliminate_normal",
     "is_finite",
     "law_residual",
+    "meets",
     "open_or_stick",
     "slip_impulse",
     "solve3",
@@ -26,8 +27,10 @@ __all__ = [
 
 OPEN, STICK, SLIP = 0, 1, 2
 
-LARGEST = 1e9
+LARGEST = 1e10
 """Impulse, relative to b in velocity units, above which rounding makes a residual meaningless."""
+
+EPSILON = 2.0**-52
 
 SINGULAR = 1e-10
 """Ratio of the least eigenvalue of `W_TT - w wᵀ/W_NN` to `tr(W_TT)` below which it counts as singular."""
@@ -78,6 +81,17 @@ def law_residual(W: Matrix, b: Vector, mu: float, r: Vector) -> float:
     if sigma * norm(r) > LARGEST * norm(b):
         return math.inf
     return norm(natural_map(affine(W, r, b), r, mu, sigma, COULOMB))
+
+
+@jit
+def meets(W: Matrix, b: Vector, mu: float, r: Vector, residual: float, tolerance: float) -> bool:
+    """Whether a residual at `r` is at most `tolerance |b|`, and what rounding of r and u alone can leave of it.
+
+    `r` rounded and `W r + b` evaluated in doubles are off by `2 tr(W) |r| eps`, which `ũ` grows by `1 + mu` at most.
+    """
+    trace = W[0][0] + W[1][1] + W[2][2]
+    bound = tolerance * norm(b) + 2.0 * (1.0 + mu) * EPSILON * trace * norm(r)
+    return residual <= bound and math.isfinite(residual)
 
 
 @jit
@@ -139,13 +153,12 @@ def stick_impulse(t: Tangential, b: Vector) -> tuple[bool, Vector]:
     """The impulse that stops the contact, and whether there is one.
 
     A singular `W̄` is shifted: when `b̄` is in its range the impulse stays bounded, when it is not the contact
-    cannot be stopped. Nor is it by an impulse too large for its residual to mean anything.
+    cannot be stopped. With `W_TT = 0` any shift does.
     """
     trace = t.trace * t.W_NN + t.w1 * t.w1 + t.w2 * t.w2  # W_NN tr(W_TT)
     if t.det * t.W_NN > SINGULAR * trace * abs(t.trace):
-        r = slip_impulse(t, 0.0)
-        return (t.W_NN + trace / t.W_NN) * norm(r) <= 3.0 * LARGEST * norm(b), r
-    shift = SHIFT * trace / t.W_NN
+        return True, slip_impulse(t, 0.0)
+    shift = SHIFT * trace / t.W_NN if trace > 0.0 else t.W_NN
     r = slip_impulse(t, shift)
     return shift * math.sqrt(r[1] * r[1] + r[2] * r[2]) <= LEFT_OVER * norm(b), r
 

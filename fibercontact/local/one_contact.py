@@ -32,7 +32,7 @@ Strings = NDArray[np.str_]
 UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 """Entries of a symmetric block in the order of the file: NN, NT1, NT2, T1T1, T1T2, T2T2."""
 
-WIDTHS = {"W": (6,), "b": (3,), "mu": (), "start": (3,), "answer": (3,)}
+WIDTHS = {"mu": (), "W": (6,), "b": (3,), "start": (3,), "answer": (3,)}
 """Datasets of numbers in a file, with the shape of one contact's row."""
 
 
@@ -168,10 +168,10 @@ def _read_file(file: h5py.File) -> OneContacts:
     values = {name: np.asarray(load(file, name, "f", "floating-point numbers")) for name in WIDTHS}
     m = len(values["mu"]) if values["mu"].ndim == 1 else 0
     for name, width in WIDTHS.items():
-        values[name] = np.ascontiguousarray(values[name], dtype=np.float64)
         if values[name].shape != (m, *width):
             shape = values[name].shape
             raise ProblemError(f"{full_name(file, name)} has shape {shape}, not {(m, *width)} like mu")
+        values[name] = np.ascontiguousarray(values[name], dtype=np.float64)
     W = np.empty((m, 3, 3))
     for k, (i, j) in enumerate(UPPER):
         W[:, i, j] = W[:, j, i] = values["W"][:, k]

@@ -1,12 +1,13 @@
 """Hybrid of MFB and enumeration: simple cases enumerated, Newton first, enumeration as the fail-safe.
 
 Order: (1) take-off and stick by enumeration; (2) slip by damped Newton on the modified Fischer–Burmeister
-function from the last impulse; (3) when Newton fails, the closed formula for the slip quartic gives a rough
-impulse that Newton refines; (4) when that fails too, the companion matrix does; the answer with the least
-residual is kept.
+function from the last impulse; (3) when Newton fails, or claims what the residual of the law denies, its impulse is
+corrected as a slip; (4) when that fails, the closed formula for the slip quartic gives a rough impulse that Newton
+and the corrections refine; (5) when that fails too, the companion matrix does; the answer with the least residual
+is kept.
 
 Reference: Daviet, Bertails-Descoubes and Boissieux, ACM TOG 30(6), 2011; the 2014 talk's "MFB + Enum".
-Fails only when all three answers miss the accepted residual, at condition numbers of `W` beyond about 1e10.
+Fails only when all three answers miss the accepted residual; met only for answers of more than 1e10 times b.
 """
 
 import numpy as np
@@ -19,49 +20,56 @@ from fibercontact.local.algebra import (
     eliminate_normal,
     is_finite,
     law_residual,
+    meets,
     open_or_stick,
 )
 from fibercontact.local.contract import LocalSolver, Matrix, Status
-from fibercontact.local.fischer_burmeister import mfb
-from fibercontact.local.newton import NEWTON_OPTIONS
+from fibercontact.local.fischer_burmeister import modified_fischer_burmeister
+from fibercontact.local.newton import NEWTON_OPTIONS, newton
 from fibercontact.local.slip_quartic import ENUMERATIVE_OPTIONS, closed_slip, companion_slip
-from fibercontact.problem.cone import Vector, norm
+from fibercontact.local.slip_refinement import refine_slip
+from fibercontact.problem.cone import Vector
 
 __all__ = ["solver"]
 
 
 @jit
+def mfb(W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]) -> tuple[int, Vector, int]:
+    """Damped Newton on the modified Fischer–Burmeister function."""
+    return newton(modified_fischer_burmeister, W, b, mu, r, options[0], int(options[1]), True, 1.0, 0.0)
+
+
+@jit
 def refine(
-    W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]
+    W: Matrix, b: Vector, mu: float, t: Tangential, r: Vector, options: NDArray[np.float64]
 ) -> tuple[float, Vector, int]:
-    """The better of a rough impulse and Newton's answer from there, with its residual."""
-    rough = law_residual(W, b, mu, r)
+    """The better of a rough slip and Newton's answer from there, corrected as a slip, with its residual."""
     _, newton_r, iterations = mfb(W, b, mu, r, options)
-    refined = law_residual(W, b, mu, newton_r)
-    return (refined, newton_r, iterations) if refined < rough else (rough, r, iterations)
+    better = newton_r if law_residual(W, b, mu, newton_r) < law_residual(W, b, mu, r) else r
+    residual, r = refine_slip(W, b, mu, t, better)
+    return residual, r, iterations
 
 
 @jit
 def enumerate_slip(
     W: Matrix, b: Vector, mu: float, t: Tangential, r: Vector, options: NDArray[np.float64]
 ) -> tuple[int, Vector, int]:
-    """Fail-safe: rough slips by the two enumerations, refined; the best of them and `r`."""
-    accepted = options[2] * norm(b)
-    least = law_residual(W, b, mu, r)
+    """Fail-safe: `r` corrected, then rough slips by the two enumerations, refined; the best of them."""
     total = 0
+    least, r = refine_slip(W, b, mu, t, r)
     for enumeration in range(2):
+        if meets(W, b, mu, r, least, options[2]):
+            break
         if enumeration == 0:
             status, rough = closed_slip(W, b, mu, t, options[2])
         else:
             status, rough = companion_slip(W, b, mu, t, options[2])
         if status != Status.NO_ROOT:
-            residual, candidate, iterations = refine(W, b, mu, rough, options)
+            residual, candidate, iterations = refine(W, b, mu, t, rough, options)
             total += iterations
             if not residual >= least:
                 least, r = residual, candidate
-        if least <= accepted:
-            return Status.CONVERGED, r, total
-    return Status.INACCURATE, r, total
+    return Status.CONVERGED if meets(W, b, mu, r, least, options[2]) else Status.INACCURATE, r, total
 
 
 @jit
@@ -76,7 +84,7 @@ def kernel(
     if regime != SLIP:
         return Status.CONVERGED, simple, 0
     status, slip, iterations = mfb(W, b, mu, r, options)
-    if status == Status.CONVERGED:
+    if status == Status.CONVERGED and meets(W, b, mu, slip, law_residual(W, b, mu, slip), options[2]):
         return status, slip, iterations
     status, slip, more = enumerate_slip(W, b, mu, t, slip, options)
     return status, slip, iterations + more

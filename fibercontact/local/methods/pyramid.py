@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fibercontact.jit import jit
-from fibercontact.local.algebra import affine, eliminate_normal, is_finite, stick_impulse
+from fibercontact.local.algebra import affine, eliminate_normal, is_finite, meets, stick_impulse
 from fibercontact.local.contract import LocalSolver, Matrix, Option, Status
 from fibercontact.problem.cone import Vector, natural_map, norm, project_pyramid
 
@@ -50,8 +50,8 @@ def vertex_slip(W: Matrix, b: Vector, mu: float, angle: float) -> Vector:
 
 @jit
 def face_residual(W: Matrix, b: Vector, mu: float, facets: int, r: Vector) -> float:
-    """Norm of the pyramid's natural map at `r`; infinite outside the half-space of impulses, and at infinity."""
-    if not 0.0 <= r[0] < math.inf:
+    """Norm of the pyramid's natural map at `r`; infinite outside the half-space of impulses."""
+    if not r[0] >= 0.0:
         return math.inf
     sigma = (W[0][0] + W[1][1] + W[2][2]) / 3.0
     return norm(natural_map(affine(W, r, b), r, mu, sigma, facets))
@@ -84,7 +84,7 @@ def kernel(
                 break
     if math.isinf(least):
         return Status.NO_ROOT, r, 0
-    return (Status.CONVERGED if least <= ACCEPTED * norm(b) else Status.INACCURATE), best, 0
+    return (Status.CONVERGED if meets(W, b, mu, best, least, ACCEPTED) else Status.INACCURATE), best, 0
 
 
 solver = LocalSolver(kernel, options={"facets": Option(4, "vertices of the polygon")}, facets="facets")

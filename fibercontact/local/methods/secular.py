@@ -1,4 +1,4 @@
-"""Exact slip by a bracketed Newton iteration on a scalar secular equation; cannot fail.
+"""Exact slip by a bracketed Newton iteration on a scalar secular equation; a root is always bracketed.
 
 Take-off and stick are tested first. In slip `(W̄ + alpha I) r_T = -b̄`, and the scalar function
 `phi(alpha) = |r_T(alpha)| - mu r_N(alpha)` is positive at 0+ (stick is excluded) and negative at
@@ -6,7 +6,8 @@ Take-off and stick are tested first. In slip `(W̄ + alpha I) r_T = -b̄`, and t
 linear in alpha, inside the bracket.
 
 Reference: THEORY §3; the idea of the almost linear reciprocal is that of Moré and Sorensen (SIAM J. Sci. Stat.
-Comput. 4, 1983) for trust regions. Fails only on data that are not finite or not positive.
+Comput. 4, 1983) for trust regions. An impulse that is large beside b is corrected on `W` itself. Fails on data that
+are not finite or not positive, for answers of more than 1e10 times b, and where a singular `W` leaves no answer.
 """
 
 import math
@@ -22,18 +23,20 @@ from fibercontact.local.algebra import (
     Tangential,
     eliminate_normal,
     is_finite,
-    law_residual,
+    meets,
     open_or_stick,
     slip_impulse,
 )
 from fibercontact.local.contract import LocalSolver, Matrix, Option, Status
+from fibercontact.local.slip_refinement import on_cone, refine_slip
 from fibercontact.problem.cone import Vector, norm
 
 __all__ = ["solver"]
 
 ACCEPTED = 1e-6
-"""Residual, relative to b, above which a root is a failure. It is looked at near stick, where `W` may be singular and
-b out of its range, and when `sigma r` is so large that the tolerance on alpha is none on the velocity."""
+"""Residual, relative to b, above which a root near stick is a failure: `W` is singular and b out of its range."""
+LARGE = 1e4
+"""Impulse, relative to b in velocity units, from which rounding may have spoilt it."""
 
 
 @jit
@@ -104,6 +107,17 @@ def bracket_end(t: Tangential, mu: float) -> float:
 
 
 @jit
+def accepted(W: Matrix, b: Vector, mu: float, t: Tangential, alpha: float) -> tuple[int, Vector]:
+    """The slip at the root; refined and judged when rounding may have spoilt it."""
+    r = on_cone(slip_impulse(t, alpha), mu)
+    trace = W[0][0] + W[1][1] + W[2][2]
+    if alpha > SHIFT * (t.trace + t.W_NN) and trace * norm(r) < LARGE * norm(b):
+        return Status.CONVERGED, r
+    residual, r = refine_slip(W, b, mu, t, r)
+    return Status.CONVERGED if meets(W, b, mu, r, residual, ACCEPTED) else Status.INACCURATE, r
+
+
+@jit
 def kernel(
     W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]
 ) -> tuple[int, Vector, int]:
@@ -124,25 +138,14 @@ def kernel(
             alpha = 0.5 * (low + high) if low > 0.0 else 1e-3 * high
         g, limit, newton = newton_step(p, alpha)
         if abs(g) <= tolerance * limit or high - low <= 4e-16 * low:
-            r = on_cone(slip_impulse(t, alpha), mu)
-            size = (W[0][0] + W[1][1] + W[2][2]) * (1.0 + mu) * r[0]
-            steady = alpha > SHIFT * (t.trace + t.W_NN) and tolerance * size <= -ACCEPTED * b[0]
-            sound = steady or law_residual(W, b, mu, r) <= ACCEPTED * norm(b)
-            return Status.CONVERGED if sound else Status.INACCURATE, r, k + 1
+            status, r = accepted(W, b, mu, t, alpha)
+            return status, r, k + 1
         if g > 0.0:
             low = alpha
         else:
             high = alpha
         alpha = newton
     return Status.ITERATIONS, slip_impulse(t, alpha), budget
-
-
-@jit
-def on_cone(r: Vector, mu: float) -> Vector:
-    """`r` with `r_T` scaled to the length `mu r_N`, which it has but for rounding."""
-    size = math.sqrt(r[1] * r[1] + r[2] * r[2])
-    scale = mu * r[0] / size if size > 0.0 else 0.0
-    return (r[0], scale * r[1], scale * r[2])
 
 
 solver = LocalSolver(
