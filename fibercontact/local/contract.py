@@ -14,8 +14,9 @@ What every kernel owes, and `fibercontact check` looks at: it never raises, loop
 the same input gives the same bits; data (`W`, `b`, `mu`) that are not finite never end in `CONVERGED`, and
 `CONVERGED` never comes with an impulse that is not finite. The rest depends on what it claims to be:
 
-* An *exact* solver (the default) returns `CONVERGED` only when the residual of its law is at most `HONEST`. Not to
-  find an answer is no breach: any other status says so, and the sweep damps the impulse that comes with it.
+* An *exact* solver (the default) returns `CONVERGED` only when the residual of its law is at most `HONEST`, rounding
+  of impulses far larger than b aside. Not to find an answer is no breach where a contact is hard: any other status
+  says so, and the sweep damps the impulse that comes with it.
 * A *step* (`exact=False`) may stop anywhere: its `CONVERGED` asks the sweep to take the impulse as it is. It must
   leave solutions where they are, and come to the solution of a kind contact when it is visited again and again.
 * A solver of a *polygon's law* (`facets`) is either of these, judged by that law instead of Coulomb's.
@@ -37,7 +38,7 @@ __all__ = ["HONEST", "KERNEL_SIGNATURE", "SENTENCES", "LocalSolver", "Matrix", "
 
 Matrix = tuple[Vector, Vector, Vector]
 
-HONEST = 2e-6
+HONEST = 1e-6
 """Largest residual, relative to b, of an impulse that an exact solver claims to be the answer."""
 
 _VECTOR = types.UniTuple(types.float64, 3)

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fibercontact.jit import jit
-from fibercontact.local.algebra import affine, law_residual
+from fibercontact.local.algebra import affine, law_residual, meets
 from fibercontact.local.contract import Matrix, Status
 from fibercontact.local.newton import Contact, newton
-from fibercontact.problem.cone import Vector, norm
+from fibercontact.problem.cone import Vector
 
 __all__ = ["mfb", "modified_fischer_burmeister"]
 
@@ -89,7 +89,7 @@ def mfb(W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]
     """Damped Newton on the modified Fischer–Burmeister function; its zero is verified by the law's residual."""
     tolerance, budget = options[0], int(options[1])
     status, r, done = newton(modified_fischer_burmeister, W, b, mu, r, tolerance, budget, True, 1.0, 0.0)
-    accepted = max(ACCEPTED, 10.0 * tolerance) * norm(b)
-    if status == Status.CONVERGED and not law_residual(W, b, mu, r) <= accepted:
+    accepted = max(ACCEPTED, 10.0 * tolerance)
+    if status == Status.CONVERGED and not meets(W, b, mu, r, law_residual(W, b, mu, r), accepted):
         status = Status.INACCURATE
     return status, r, done

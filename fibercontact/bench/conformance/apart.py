@@ -16,7 +16,6 @@ from fibercontact.local.registry import Configured, configure, registered
 
 __all__ = ["Desk", "examine_apart"]
 
-DESK = f"{__name__}:Desk"
 LOST = 2
 """Processes that may be lost; the checks that are left are not run then."""
 
@@ -68,7 +67,7 @@ class _Examiner:
     def __init__(self, local: Configured, plugins: Sequence[Path], seconds: float, page: Path) -> None:
         self._local, self._seconds, self._page = local, seconds, page
         fingerprints = {local.label: local.registered.fingerprint}
-        self._worker, self._second = (Worker(plugins, fingerprints, desk=DESK) for _ in range(2))
+        self._worker, self._second = (Worker(plugins, fingerprints, desk=__name__) for _ in range(2))
         self._lost = 0
         self._stopped = ""
 

@@ -1,22 +1,22 @@
 """What is reported of a local solver and is no breach: the hard contacts it misses, its speed, whole problems."""
 
 import dataclasses
+from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array, eye_array
 
 from fibercontact.bench.conformance.contacts import hard, kind, set_of
-from fibercontact.bench.conformance.subject import Subject, status_name
+from fibercontact.bench.conformance.subject import Subject
+from fibercontact.bench.contact_verdict import judge
 from fibercontact.bench.passes import lay_out
 from fibercontact.bench.problem_set import find_set
 from fibercontact.bench.protocol import ACCURACIES, BenchError
 from fibercontact.gauss_seidel.solver import GaussSeidel
-from fibercontact.local.contract import HONEST, Status
-from fibercontact.local.one_contact import OneContacts, replay, residuals
+from fibercontact.local.one_contact import OneContacts, Replay, replay
 from fibercontact.local.registry import Configured, configure, registered
 from fibercontact.problem.fclib import read
 from fibercontact.problem.incremental import IncrementalProblem
@@ -24,8 +24,6 @@ from fibercontact.problem.measure import measure
 from fibercontact.problem.step import StepProblem
 
 __all__ = ["REPORTS", "Report", "Table"]
-
-Array = NDArray[np.float64]
 
 STEPS = 100
 """Visits that a step gets at a hard contact."""
@@ -51,33 +49,27 @@ class Report(NamedTuple):
 def hard_contacts(subject: Subject) -> Report:
     """How often it misses contacts that are hard, each family for a reason; to say so is no breach."""
     contacts = hard()
-    status, r = _replayed(subject, contacts)
-    missed = residuals(contacts, r, subject.facets) > HONEST
-    missed |= subject.exact & (status != Status.CONVERGED)
-    rows = []
+    verdict = judge(contacts, _replayed(subject, contacts), subject.facets)
+    missed, reasons, rows = ~verdict.solved, verdict.reasons, []
     for family in sorted(set(contacts.family.tolist())):
         mine = contacts.family == family
-        how = _by_status(status[mine & missed])
-        rows.append(
-            (family.removeprefix("known: "), str(mine.sum()), f"{100 * missed[mine].mean():.1f}", how)
+        how = ", ".join(
+            f"{reason} {count}" for reason, count in Counter(reasons[mine & missed]).most_common()
         )
+        percent = f"{100 * missed[mine].mean():.1f}"
+        rows.append((family.removeprefix("known: "), str(mine.sum()), percent, how))
     sentence = f"{100 * missed.mean():.1f} % of {contacts.m} missed"
-    return Report(sentence, Table(("family", "contacts", "missed (%)", "by status"), rows))
+    return Report(sentence, Table(("family", "contacts", "missed (%)", "how"), rows))
 
 
-def _replayed(subject: Subject, contacts: OneContacts) -> tuple[NDArray[np.int64], Array]:
-    """Statuses and impulses of one visit each, or of as many as a step gets."""
+def _replayed(subject: Subject, contacts: OneContacts) -> Replay:
+    """The answers of one visit each, or of as many as a step gets."""
     found = replay(subject.local, contacts)
     for _ in range(0 if subject.exact else STEPS):
         finite = np.isfinite(found.r).all(axis=1, keepdims=True)
         contacts = dataclasses.replace(contacts, start=np.where(finite, found.r, contacts.start))
         found = replay(subject.local, contacts)
-    return found.status, found.r
-
-
-def _by_status(statuses: NDArray[np.int64]) -> str:
-    values, counts = np.unique(statuses, return_counts=True)
-    return ", ".join(f"{status_name(int(v))} {n}" for v, n in zip(values, counts, strict=True))
+    return found
 
 
 def speed(subject: Subject) -> Report:

@@ -1,6 +1,7 @@
 """The solver under examination, and what it means to break the contract."""
 
 import math
+import sys
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,12 +9,12 @@ from numba.core import config
 from numpy.typing import NDArray
 
 from fibercontact.bench.conformance.contacts import PAGE, Contact, numbers
-from fibercontact.local.algebra import affine
+from fibercontact.local.algebra import LARGEST, affine
 from fibercontact.local.contract import HONEST, Matrix, Status
 from fibercontact.local.registry import Configured
 from fibercontact.problem.cone import Vector, natural_map, norm
 
-__all__ = ["VISITS", "Answer", "Broken", "Subject", "Unasked", "distance", "shown", "status_name"]
+__all__ = ["NOTHING", "VISITS", "Answer", "Broken", "Subject", "Unasked", "distance", "shown", "status_name"]
 
 Array = NDArray[np.float64]
 
@@ -21,6 +22,7 @@ VISITS = 1000
 """Visits in which a step must come to the solution of a kind contact."""
 SETTLED = 1e-10
 """Residual at which a step is not visited again."""
+NOTHING = (0.0, 0.0, 0.0)
 
 
 class Broken(Exception):
@@ -66,6 +68,19 @@ class Subject:
         W, b, mu, _ = contact
         size = norm(natural_map(affine(W, r, b), r, mu, _sigma(W), self.facets))
         return size / (norm(b) or 1.0) if math.isfinite(size) else math.inf
+
+    def denies(self, contact: Contact, r: Vector, known: Vector = NOTHING) -> str:
+        """Why `r` is no answer, '' if it is one. What rounding leaves of a residual is granted.
+
+        `r` in doubles and `W r + b` evaluated in doubles leave `6 (1 + mu) eps sigma |r|`. An impulse cannot buy
+        itself tolerance by being huge: `LARGEST` times b counts at most, or a `known` answer that is larger.
+        """
+        size = min(distance(contact, r, NOTHING), max(LARGEST, distance(contact, known, NOTHING)))
+        residual, granted = (
+            self.residual(contact, r),
+            6.0 * (1.0 + contact.mu) * sys.float_info.epsilon * size,
+        )
+        return "" if residual <= HONEST + granted else f"the residual of {shown(r)} is {residual:.1e}"
 
     def settle(self, contact: Contact) -> tuple[bool, Vector]:
         """The answer, and whether it is one: of one visit, or of as many as a step needs."""

@@ -50,8 +50,8 @@ def vertex_slip(W: Matrix, b: Vector, mu: float, angle: float) -> Vector:
 
 @jit
 def face_residual(W: Matrix, b: Vector, mu: float, facets: int, r: Vector) -> float:
-    """Norm of the pyramid's natural map at `r`; infinite outside the half-space of impulses."""
-    if not r[0] >= 0.0:
+    """Norm of the pyramid's natural map at `r`; infinite outside the half-space of impulses, and at infinity."""
+    if not 0.0 <= r[0] < math.inf:
         return math.inf
     sigma = (W[0][0] + W[1][1] + W[2][2]) / 3.0
     return norm(natural_map(affine(W, r, b), r, mu, sigma, facets))
