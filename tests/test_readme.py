@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 from scipy.sparse import eye_array
 
+from fibercontact.bench.conformance.reports import REPORTS
+from fibercontact.bench.conformance.required import REQUIRED
+from fibercontact.bench.conformance.suite import CHECKS, asks, examine
 from fibercontact.cli import app
 from fibercontact.gauss_seidel.solver import GaussSeidel
 from fibercontact.local.registry import configure, registered
@@ -15,6 +18,7 @@ from fibercontact.problem.measure import measure
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+YOUR_SOLVER = (ROOT / "docs" / "your_solver.md").read_text(encoding="utf-8")
 
 
 def test_the_example_of_a_local_solver_solves_a_problem(tmp_path):
@@ -28,6 +32,21 @@ def test_the_example_of_a_local_solver_solves_a_problem(tmp_path):
     run = GaussSeidel(local, tolerance=1e-8).solve(problem)
     assert run.claimed
     assert measure(problem, run.r).residual <= 1e-8
+    assert {check: examine(local, check).outcome for check in REQUIRED} == dict.fromkeys(REQUIRED, "pass") | {
+        "honest": "not asked"
+    }
+
+
+def test_the_card_shown_is_the_card_of_today():
+    """Line by line, what is measured and what depends on rounding aside."""
+    shown = [
+        line.split(" | ")
+        for line in YOUR_SOLVER.splitlines()
+        if re.match(r"\| [a-z ]+ \| (pass|reported) ", line)
+    ]
+    assert [line[0][2:] for line in shown] == list(CHECKS)
+    assert [line[1] for line in shown] == ["pass"] * len(REQUIRED) + ["reported"] * len(REPORTS)
+    assert [line[2] for line in shown] == [asks(check) for check in CHECKS]
 
 
 @pytest.mark.parametrize("path", sorted(set(re.findall(r"\]\((?!http)([^)]+)\)", README))))
@@ -36,7 +55,8 @@ def test_linked_files_exist(path):
 
 
 @pytest.mark.parametrize(
-    "command", sorted(set(re.findall(r"(?:bin/|^|`)fibercontact (\w+) ", README, flags=re.MULTILINE)))
+    "command",
+    sorted(set(re.findall(r"(?:bin/|^|`)fibercontact ([a-z-]+) ", README + YOUR_SOLVER, flags=re.MULTILINE))),
 )
 def test_commands_exist(command):
     assert command in {registered.name for registered in app.registered_commands}

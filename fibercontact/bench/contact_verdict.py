@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fibercontact.local.contract import Status
+from fibercontact.local.contract import HONEST, Status
 from fibercontact.local.one_contact import OneContacts, Replay, residuals
 from fibercontact.problem.cone import COULOMB
 
@@ -20,8 +20,6 @@ __all__ = ["INACCURATE_ANSWER", "Verdict", "judge", "load_size", "reason_of", "t
 
 F64 = NDArray[np.float64]
 
-ACCEPTED = 1e-6
-"""Residual relative to b."""
 LARGEST = 1e10
 """Impulse relative to b, in velocity units, up to which rounding is granted."""
 INACCURATE_ANSWER = "inaccurate answer"
@@ -65,7 +63,7 @@ def tolerances(contacts: OneContacts, r: F64) -> F64:
 
     bound = np.fmax(LARGEST, relative(contacts.answer))
     granted = 6.0 * (1.0 + contacts.mu) * np.finfo(float).eps * np.minimum(relative(r), bound)
-    return ACCEPTED + granted
+    return HONEST + granted
 
 
 def judge(contacts: OneContacts, found: Replay, facets: int) -> Verdict:

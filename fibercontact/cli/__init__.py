@@ -8,7 +8,18 @@ from typing import Annotated
 import typer
 
 import fibercontact
-from fibercontact.cli import info, level1, reference, simulate, solve, solvers, table, validate
+from fibercontact.cli import (
+    check,
+    info,
+    level1,
+    new_solver,
+    reference,
+    simulate,
+    solve,
+    solvers,
+    table,
+    validate,
+)
 
 __all__ = ["app", "main"]
 
@@ -23,6 +34,8 @@ app.command("table")(table.table)
 app.command("solve")(solve.solve)
 app.command("info")(info.info)
 app.command("solvers")(solvers.solvers)
+app.command("check")(check.check)
+app.command("new-solver")(new_solver.new_solver)
 app.command("simulate")(simulate.simulate)
 app.command("dump")(simulate.dump)
 app.command("harvest")(level1.harvest)

@@ -1,4 +1,4 @@
-"""What a local solver is: the signature of its kernel, its status, its options.
+"""What a local solver is: the signature of its kernel, its status, its options, and what it owes.
 
 A local solver answers one contact: given `W` (3×3, SPD), `b` (what all the other contacts contribute
 included), `mu` and the impulse `r` of the last visit, find the impulse `r` such that `u = W r + b` and `r` obey
@@ -9,6 +9,17 @@ it is compiled once for all solvers:
 
 `W` is a tuple of three rows, `b` and `r` are tuples `(N, T1, T2)`, `options` a float64 array in the order of the
 declared options; `status` is a `Status`, `iterations` the number of inner (Newton) iterations.
+
+What every kernel owes, and `fibercontact check` looks at: it never raises, loops for ever or writes to `options`;
+the same input gives the same bits; data (`W`, `b`, `mu`) that are not finite never end in `CONVERGED`, and
+`CONVERGED` never comes with an impulse that is not finite. The rest depends on what it claims to be:
+
+* An *exact* solver (the default) returns `CONVERGED` only when the residual of its law is at most `HONEST`, rounding
+  of impulses far larger than b aside. Not to find an answer is no breach where a contact is hard: any other status
+  says so, and the sweep damps the impulse that comes with it.
+* A *step* (`exact=False`) may stop anywhere: its `CONVERGED` asks the sweep to take the impulse as it is. It must
+  leave solutions where they are, and come to the solution of a kind contact when it is visited again and again.
+* A solver of a *polygon's law* (`facets`) is either of these, judged by that law instead of Coulomb's.
 """
 
 import math
@@ -23,9 +34,12 @@ from numpy.typing import NDArray
 
 from fibercontact.problem.cone import COULOMB, Vector
 
-__all__ = ["KERNEL_SIGNATURE", "SENTENCES", "LocalSolver", "Matrix", "Option", "Status"]
+__all__ = ["HONEST", "KERNEL_SIGNATURE", "SENTENCES", "LocalSolver", "Matrix", "Option", "Status"]
 
 Matrix = tuple[Vector, Vector, Vector]
+
+HONEST = 1e-6
+"""Largest residual, relative to b, of an impulse that an exact solver claims to be the answer."""
 
 _VECTOR = types.UniTuple(types.float64, 3)
 KERNEL_SIGNATURE = types.Tuple((types.int64, _VECTOR, types.int64))(
@@ -66,14 +80,16 @@ class Option:
 
 @dataclass(frozen=True)
 class LocalSolver:
-    """A kernel with its declaration. `facets` says which law it solves.
+    """A kernel with its declaration. `facets` says which law it solves, `exact` what a claim of it is worth.
 
-    `facets` is a number (0: Coulomb's law), or the name of the option that holds it.
+    `facets` is a number (0: Coulomb's law), or the name of the option that holds it. With `exact=False` a visit is
+    a step towards the answer and `CONVERGED` no claim.
     """
 
     kernel: Any
     options: Mapping[str, Option] = field(default_factory=dict)
     facets: int | str = COULOMB
+    exact: bool = True
 
     def option_values(self, given: Mapping[str, float]) -> NDArray[np.float64]:
         """Option values in declared order; raises `ValueError` on a name that is not declared."""

@@ -1,14 +1,17 @@
-"""The modified Fischer–Burmeister function of one contact and its Jacobian."""
+"""The modified Fischer–Burmeister function of one contact, its Jacobian, and Newton's method on it."""
 
 import math
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fibercontact.jit import jit
 from fibercontact.local.algebra import affine
 from fibercontact.local.contract import Matrix
-from fibercontact.local.newton import Contact
+from fibercontact.local.newton import Contact, newton
 from fibercontact.problem.cone import Vector, smaller_root
 
-__all__ = ["modified_fischer_burmeister"]
+__all__ = ["mfb", "modified_fischer_burmeister"]
 
 BOUNDARY = 3e-8
 """Least ratio of the two spectral values of z in the Jacobian: `L_z` is singular on the boundary of the cone."""
@@ -75,3 +78,9 @@ def velocity_column(W: Matrix, mu: float, e1: float, e2: float, y: Vector, j: in
         start[1] + y[1] * d0 + y[0] * d1,
         start[2] + y[2] * d0 + y[0] * d2,
     )
+
+
+@jit
+def mfb(W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]) -> tuple[int, Vector, int]:
+    """Damped Newton on the modified Fischer–Burmeister function, with the options of `newton`."""
+    return newton(modified_fischer_burmeister, W, b, mu, r, options[0], int(options[1]), True, 1.0, 0.0)

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 from fibercontact.jit import jit, jit_inline
 from fibercontact.local.algebra import is_finite, law_residual, meets, solve3
-from fibercontact.local.contract import Matrix, Option, Status
+from fibercontact.local.contract import HONEST, Matrix, Option, Status
 from fibercontact.problem.cone import Vector, norm
 
 __all__ = ["NEWTON_OPTIONS", "Contact", "newton"]
@@ -15,10 +15,6 @@ NEWTON_OPTIONS = {
     "max_iterations": Option(50, "Newton iterations"),
 }
 
-ACCEPTED = 1e-6
-"""Residual of the law, relative to b, above which a zero of the function is a failure (MFB loses `r_N` as mu → 0).
-
-A tolerance looser than a tenth of it loosens it."""
 ARMIJO = 1e-4
 SHORTEST_STEP = 2.0**-20
 
@@ -107,7 +103,7 @@ def newton(
         x, size = trial, new_size
     if size <= threshold:
         status = Status.CONVERGED
-    accepted = max(ACCEPTED, 10.0 * tolerance)
+    accepted = max(HONEST, 10.0 * tolerance)
     if status == Status.CONVERGED and not meets(
         contact.W, b, mu, x, law_residual(contact.W, b, mu, x), accepted
     ):

@@ -7,6 +7,7 @@ import ast
 import importlib
 import importlib.util
 import pkgutil
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -79,12 +80,30 @@ class Configured:
                 f"{self.registered.origin}: the kernel of {self.label!r} is not decorated with @jit"
             ) from error
         except NumbaError as error:
-            reason = str(error).strip().splitlines()
             raise SolverError(
                 f"{self.registered.origin}: the kernel of {self.label!r} does not compile to the signature "
-                f"(W, b, mu, r, options) -> (status, r, iterations): {reason[-1] if reason else error}"
+                f"(W, b, mu, r, options) -> (status, r, iterations): {_in_short(str(error))}"
             ) from error
         return kernel
+
+
+def _in_short(error: str) -> str:
+    """What the compiler complains of and where, without the story of how it came there."""
+    lines = [line.strip() for line in error.splitlines() if line.strip()]
+    story = (
+        "Failed in",
+        "During:",
+        "There are",
+        "- Of which",
+        "Overload",
+        "With argument",
+        "No match",
+        "File ",
+        "Enable",
+    )
+    told = [line for line in lines if not line.startswith(story)]
+    place = re.findall(r'File "[^"]*?([^"/\\]+)", (line \d+)', error)
+    return " ".join([*told[:2], *(f"({file}, {line})" for file, line in place[-1:])])
 
 
 def registered(plugins: Sequence[Path] = ()) -> dict[str, Registered]:

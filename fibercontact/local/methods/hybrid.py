@@ -24,19 +24,13 @@ from fibercontact.local.algebra import (
     open_or_stick,
 )
 from fibercontact.local.contract import LocalSolver, Matrix, Status
-from fibercontact.local.fischer_burmeister import modified_fischer_burmeister
-from fibercontact.local.newton import NEWTON_OPTIONS, newton
+from fibercontact.local.fischer_burmeister import mfb
+from fibercontact.local.newton import NEWTON_OPTIONS
 from fibercontact.local.slip_quartic import ENUMERATIVE_OPTIONS, closed_slip, companion_slip
 from fibercontact.local.slip_refinement import refine_slip
 from fibercontact.problem.cone import Vector
 
 __all__ = ["solver"]
-
-
-@jit
-def mfb(W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]) -> tuple[int, Vector, int]:
-    """Damped Newton on the modified Fischer–Burmeister function."""
-    return newton(modified_fischer_burmeister, W, b, mu, r, options[0], int(options[1]), True, 1.0, 0.0)
 
 
 @jit

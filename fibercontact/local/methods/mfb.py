@@ -3,8 +3,8 @@
 Equation: `f = x + y - (x∘x + y∘y)^(1/2) = 0`, `x = (mu r_N, r_T)`, `y = (ũ_N, mu u_T)` (THEORY §3).
 Reference: Daviet, Bertails-Descoubes and Boissieux, ACM TOG 30(6), 2011 (its printed Jacobian has a typo).
 Smooth almost everywhere; fails when the line search stalls at a point that is not a zero, mostly near
-`u_T = 0` or where `z` meets the boundary of the cone. Without friction it is degenerate and the normal
-complementarity is solved directly.
+`u_T = 0` or where `z` meets the boundary of the cone, and where rounding hides b behind a far larger impulse.
+Without friction it is degenerate and the normal complementarity is solved directly.
 """
 
 import numpy as np
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from fibercontact.jit import jit
 from fibercontact.local.algebra import is_finite
 from fibercontact.local.contract import LocalSolver, Matrix, Status
-from fibercontact.local.fischer_burmeister import modified_fischer_burmeister
-from fibercontact.local.newton import NEWTON_OPTIONS, newton
+from fibercontact.local.fischer_burmeister import mfb
+from fibercontact.local.newton import NEWTON_OPTIONS
 from fibercontact.problem.cone import Vector
 
 __all__ = ["solver"]
@@ -29,7 +29,7 @@ def kernel(
         return Status.NOT_FINITE, r, 0
     if mu <= 0.0:
         return Status.CONVERGED, (max(0.0, -b[0] / W[0][0]), 0.0, 0.0), 0
-    return newton(modified_fischer_burmeister, W, b, mu, r, options[0], int(options[1]), True, 1.0, 0.0)
+    return mfb(W, b, mu, r, options)
 
 
 solver = LocalSolver(kernel, options=NEWTON_OPTIONS)

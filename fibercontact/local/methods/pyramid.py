@@ -14,13 +14,10 @@ from numpy.typing import NDArray
 
 from fibercontact.jit import jit
 from fibercontact.local.algebra import affine, eliminate_normal, is_finite, meets, stick_impulse
-from fibercontact.local.contract import LocalSolver, Matrix, Option, Status
+from fibercontact.local.contract import HONEST, LocalSolver, Matrix, Option, Status
 from fibercontact.problem.cone import Vector, natural_map, norm, project_pyramid
 
 __all__ = ["solver"]
-
-ACCEPTED = 1e-6
-"""Residual of the pyramid's law, relative to b, above which the best face is a failure."""
 
 
 @jit
@@ -50,8 +47,8 @@ def vertex_slip(W: Matrix, b: Vector, mu: float, angle: float) -> Vector:
 
 @jit
 def face_residual(W: Matrix, b: Vector, mu: float, facets: int, r: Vector) -> float:
-    """Norm of the pyramid's natural map at `r`; infinite outside the half-space of impulses."""
-    if not r[0] >= 0.0:
+    """Norm of the pyramid's natural map at `r`; infinite outside the half-space of impulses, and at infinity."""
+    if not 0.0 <= r[0] < math.inf:
         return math.inf
     sigma = (W[0][0] + W[1][1] + W[2][2]) / 3.0
     return norm(natural_map(affine(W, r, b), r, mu, sigma, facets))
@@ -84,7 +81,7 @@ def kernel(
                 break
     if math.isinf(least):
         return Status.NO_ROOT, r, 0
-    return (Status.CONVERGED if meets(W, b, mu, best, least, ACCEPTED) else Status.INACCURATE), best, 0
+    return (Status.CONVERGED if meets(W, b, mu, best, least, HONEST) else Status.INACCURATE), best, 0
 
 
 solver = LocalSolver(kernel, options={"facets": Option(4, "vertices of the polygon")}, facets="facets")

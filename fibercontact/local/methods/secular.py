@@ -28,14 +28,12 @@ from fibercontact.local.algebra import (
     open_or_stick,
     slip_impulse,
 )
-from fibercontact.local.contract import LocalSolver, Matrix, Option, Status
+from fibercontact.local.contract import HONEST, LocalSolver, Matrix, Option, Status
 from fibercontact.local.slip_refinement import on_cone, refine_slip
 from fibercontact.problem.cone import Vector, norm
 
 __all__ = ["solver"]
 
-ACCEPTED = 1e-6
-"""Residual, relative to b, above which a root near stick is a failure: `W` is singular and b out of its range."""
 LARGE = 1e4
 """Impulse, relative to b in velocity units, from which rounding may have spoilt it."""
 
@@ -115,7 +113,7 @@ def accepted(W: Matrix, b: Vector, mu: float, t: Tangential, alpha: float) -> tu
     if alpha > SHIFT * (t.trace + t.W_NN) and trace * norm(r) < LARGE * norm(b):
         return Status.CONVERGED, r
     residual, r = refine_slip(W, b, mu, t, r)
-    return Status.CONVERGED if meets(W, b, mu, r, residual, ACCEPTED) else Status.INACCURATE, r
+    return Status.CONVERGED if meets(W, b, mu, r, residual, HONEST) else Status.INACCURATE, r
 
 
 @jit
