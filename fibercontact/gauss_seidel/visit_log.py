@@ -4,6 +4,9 @@ Counts are exact. Of the visits themselves two uniform samples are kept, one of 
 failed: each visit replaces a random one once its sample is full [Vitter 1985, algorithm R], the same ones in every
 run. The impulses after the last sweeps are kept whole, which shows what cycles.
 
+What a visit calls is compiled into the sweep: calls that pass arrays count references, which takes longer than to
+record.
+
 Reference: Vitter, Random sampling with a reservoir, ACM Trans. Math. Software 11, 1985; PROTOCOL level 2.
 """
 
@@ -13,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fibercontact.jit import jit
+from fibercontact.jit import jit, jit_inline
 from fibercontact.local.contract import Matrix, Status
 from fibercontact.problem.cone import Vector
 
@@ -41,6 +44,9 @@ VISIT = np.dtype(
 )  # fmt: skip
 """A visit of a sample: the local problem as the solver got it, the impulse it started from and its answer."""
 WIDTH = VISIT.itemsize // 8
+Head = tuple[float, float, float, float, float]
+
+PRIME, SEED = 2**31 - 1, 19_850_301
 
 
 class VisitLog(NamedTuple):
@@ -67,7 +73,7 @@ def new_log(contacts: int, sweeps: int, capacity: int) -> VisitLog:
         np.zeros((capacity, WIDTH)),
         np.zeros((capacity, WIDTH)),
         np.zeros((RECENT, 3 * contacts)),
-        np.array([0, 0, 0, 1, 0]),
+        np.array([0, 0, 0, SEED, 0]),
     )
 
 
@@ -100,52 +106,54 @@ def samples(log: VisitLog) -> tuple[NDArray[np.void], NDArray[np.void]]:
     return found[0], found[1]
 
 
-@jit
+@jit_inline
 def place(state: NDArray[np.int64], seen: int, capacity: int) -> int:
     """Where in a sample the next visit goes, given how many were seen; -1: nowhere."""
     if seen < capacity:
         return seen
-    state[RANDOM] = state[RANDOM] * 48271 % 2147483647  # [Park & Miller 1988]
-    slot = int(state[RANDOM] / 2147483647.0 * (seen + 1))
+    product = state[RANDOM] * 48271  # [Park & Miller 1988]; what follows is the rest of its division by PRIME
+    number = (product & PRIME) + (product >> 31)
+    state[RANDOM] = number - PRIME if number >= PRIME else number
+    slot = int(state[RANDOM] * (1.0 / PRIME) * (seen + 1))
     return slot if slot < capacity else -1
 
 
-@jit
-def store(row: NDArray[np.float64], head: Vector, tail: tuple[float, float], W: Matrix, b: Vector, mu: float,
-          old: Vector, new: Vector) -> None:  # fmt: skip
+@jit_inline
+def store(rows: NDArray[np.float64], at: int, head: Head, W: Matrix, b: Vector, mu: float, old: Vector,
+          new: Vector) -> None:  # fmt: skip
     """Write a visit in the layout of `VISIT`."""
-    row[0], row[1], row[2], row[3], row[4] = head[0], head[1], head[2], tail[0], tail[1]
+    for k in range(5):
+        rows[at, k] = head[k]
     for k in range(3):
-        row[5 + k], row[8 + k], row[11 + k] = W[0][k], W[1][k], W[2][k]
-        row[14 + k], row[18 + k], row[21 + k] = b[k], old[k], new[k]
-    row[17] = mu
+        rows[at, 5 + k], rows[at, 8 + k], rows[at, 11 + k] = W[0][k], W[1][k], W[2][k]
+        rows[at, 14 + k], rows[at, 18 + k], rows[at, 21 + k] = b[k], old[k], new[k]
+    rows[at, 17] = mu
 
 
-@jit
+@jit_inline
 def record(log: VisitLog, i: int, status: int, iterations: int, regime: int, W: Matrix, b: Vector, mu: float,
            old: Vector, new: Vector) -> None:  # fmt: skip
     """Record the visit of contact i."""
-    sweep, counts = log.state[SWEEPS], log.by_contact[i]
-    failed, switched = status != CONVERGED, counts[LAST_REGIME] not in (UNSEEN, regime)
-    counts[status] += 1
-    counts[SWITCHES] += switched
-    counts[LAST_REGIME] = regime
+    sweep, last = log.state[SWEEPS], log.by_contact[i, LAST_REGIME]
+    failed, switched = status != CONVERGED, last != regime and last != UNSEEN
+    log.by_contact[i, status] += 1
+    log.by_contact[i, SWITCHES] += switched
+    log.by_contact[i, LAST_REGIME] = regime
     if sweep < len(log.by_sweep):
-        row = log.by_sweep[sweep]
-        row[regime] += 1
-        row[FAILURES] += failed
-        row[ITERATIONS] += iterations
-        row[CHANGES] += switched
-    head, tail = (float(sweep), float(i), float(status)), (float(iterations), float(regime))
+        log.by_sweep[sweep, regime] += 1
+        log.by_sweep[sweep, FAILURES] += failed
+        log.by_sweep[sweep, ITERATIONS] += iterations
+        log.by_sweep[sweep, CHANGES] += switched
+    head = (float(sweep), float(i), float(status), float(iterations), float(regime))
     slot = place(log.state, log.state[SEEN], len(log.visits))
-    if slot >= 0:
-        store(log.visits[slot], head, tail, W, b, mu, old, new)
     log.state[SEEN] += 1
+    if slot >= 0:
+        store(log.visits, slot, head, W, b, mu, old, new)
     if failed:
         slot = place(log.state, log.state[FAILED], len(log.failures))
-        if slot >= 0:
-            store(log.failures[slot], head, tail, W, b, mu, old, new)
         log.state[FAILED] += 1
+        if slot >= 0:
+            store(log.failures, slot, head, W, b, mu, old, new)
 
 
 @jit
