@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fibercontact.bench.protocol import ACCURACIES, DEFAULT_SOLVERS, OUTERS, STARTS
+from fibercontact.bench.protocol import ACCURACIES, DEFAULT_SOLVERS, LOGS, OUTERS, STARTS
 from fibercontact.cli.errors import check_known, user_errors
 from fibercontact.cli.solvers import Plugins, split_solvers
 
@@ -52,6 +52,12 @@ def table(
     ] = False,
     max_sweeps: Annotated[int, typer.Option(help="Sweeps a problem at most.", min=1)] = 5000,
     max_seconds: Annotated[float, typer.Option(help="Seconds a problem at most.", min=0)] = 30.0,
+    log: Annotated[
+        str | None,
+        typer.Option(
+            metavar="visits", help="Log the visits of the passes that are not timed, in FOLDER/visits."
+        ),
+    ] = None,
 ) -> None:
     """Replay a set of problems through the local solvers: failure rates, sweeps and times, in one table.
 
@@ -71,12 +77,16 @@ def table(
         check_known("accuracy", [*(accuracy or []), *(rates or [])], list(ACCURACIES))
         check_known("start", [start], STARTS)
         check_known("outer loop", [outer], OUTERS)
+        check_known("log", [log] if log else [], LOGS)
         from fibercontact.bench.environment import usable_cores
         from fibercontact.bench.problem_set import find_set, limited, load_set
         from fibercontact.bench.protocol import Limits
         from fibercontact.bench.rows import RowFile, move_away
         from fibercontact.bench.run import Plan
+        from fibercontact.bench.visits import check_sweeps
 
+        if log:
+            check_sweeps(max_sweeps)
         folder = find_set(problems)
         entries = limited(load_set(folder), limit)
         plan = Plan(
@@ -90,6 +100,7 @@ def table(
             jobs=jobs or len(usable_cores()),
             limits=Limits(max_sweeps, max_seconds),
             plugins=plugin or [],
+            visits=log is not None,
         )
         run_folder = out or Path("runs") / folder.resolve().name
         if fresh and (moved := move_away(run_folder)):
