@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 import fibercontact
-from fibercontact.cli import info, simulate, solve, solvers, table, validate
+from fibercontact.cli import explain, info, simulate, solve, solvers, table, validate
 
 __all__ = ["app", "main"]
 
@@ -21,6 +21,7 @@ app = typer.Typer(
 
 app.command("table")(table.table)
 app.command("solve")(solve.solve)
+app.command("explain")(explain.explain)
 app.command("info")(info.info)
 app.command("solvers")(solvers.solvers)
 app.command("simulate")(simulate.simulate)
