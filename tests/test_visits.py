@@ -305,16 +305,16 @@ def test_a_run_logs_every_pass_that_is_not_timed_and_no_other(folder, tmp_path, 
 
 
 def test_a_resumed_run_makes_the_logs_that_are_missing_and_no_row_twice(folder, tmp_path):
-    rows = RowFile(tmp_path / "run")
-    assert run(plan(folder, visits=False), rows, Silent()) == []
+    rows, rates = RowFile(tmp_path / "run"), {"timed": (), "rates": ("mid",)}
+    assert run(plan(folder, visits=False, **rates), rows, Silent()) == []
     before = rows.path.read_bytes()
-    assert run(plan(folder), rows, Silent()) == []  # the rows are there, the logs are not
+    assert run(plan(folder, **rates), rows, Silent()) == []  # the rows are there, the logs are not
     logs = logs_of(plan(folder).work(), tmp_path / "run")
     assert rows.path.read_bytes() == before
     lost, kept = sorted(logs.values())[:2]
     lost.unlink()
     written = kept.stat().st_mtime_ns
-    assert run(plan(folder), rows, Silent()) == []
+    assert run(plan(folder, **rates), rows, Silent()) == []
     assert lost.is_file()
     assert kept.stat().st_mtime_ns == written
     assert rows.path.read_bytes() == before

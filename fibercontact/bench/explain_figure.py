@@ -1,5 +1,7 @@
 """The facts of a run in one figure: residual, regimes, where it fails, what moves."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -19,7 +21,7 @@ LONG = 200
 WIDE = 30.0
 """Ratio of largest and smallest value above which an axis of a property is logarithmic."""
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 
 def draw(facts: Facts) -> Figure:
@@ -49,25 +51,30 @@ def _sweep_axis(axes: Axes, facts: Facts) -> None:
 
 def _residual(axes: Axes, facts: Facts) -> None:
     record, about = facts.record, facts.record.about
-    for k, other in enumerate(facts.attempts):
-        sweeps = np.arange(len(other.history))
-        known = np.isfinite(other.history) & (other.history > 0)
-        axes.plot(sweeps[known], other.history[known], color=(SKY, GREEN, PINK)[k % 3], linewidth=1.0,
-                  label=f"{other.solver}, {other.outer}")  # fmt: skip
-    seen = record.residual > 0
-    axes.plot(record.sweeps[seen], record.residual[seen], color=BLACK, linewidth=1.8,
-              label=f"{about['solver']}, {about['outer']}")  # fmt: skip
+    curves = [
+        _curve(axes, np.arange(len(a.history)), a.history, f"{a.solver}, {a.outer}", colour, 1.0)
+        for a, colour in zip(facts.attempts, (SKY, GREEN, PINK), strict=False)
+    ]
+    mine = f"{about['solver']}, {about['outer']}"
+    curves.append(_curve(axes, record.sweeps, record.residual, mine, BLACK, 1.8))
     axes.axhline(about["tolerance"], color=RED, linestyle="--", linewidth=1.2, label="tolerance")
     if cured := about["proximal_from"]:
-        axes.axvline(
-            cured, color=BLUE, linestyle=":", linewidth=1.5, label=f"proximal term from sweep {cured}"
-        )
+        axes.axvline(cured, color=BLUE, linestyle=":", linewidth=1.5, label=f"proximal term from {cured}")
+    values = np.concatenate([*curves, [about["tolerance"]]])
+    axes.set_ylim(0.5 * values.min(), 2.0 * values.max())
     axes.set_yscale("log")
     _sweep_axis(axes, facts)
     axes.grid(color="0.9")
     axes.set_ylabel("residual relative to b")
     axes.set_title("residual")
     axes.legend(fontsize=8)
+
+
+def _curve(axes: Axes, x: Array, y: Array, label: str, colour: str, width: float) -> Array:
+    """Draw what a logarithmic axis can show of a residual, and return it."""
+    shown = np.isfinite(y) & (y > 0)
+    axes.plot(x[shown], y[shown], color=colour, linewidth=width, label=label)
+    return y[shown]
 
 
 def _regimes(axes: Axes, facts: Facts) -> None:

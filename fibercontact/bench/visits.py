@@ -123,7 +123,8 @@ def record_of(log: VisitLog, run: Run, sigma: Array, b_ref: float, about: Mappin
     counts = np.zeros((len(ends), len(BY_SWEEP)), dtype=np.int64)
     if run.sweeps:
         counts[1:] = np.add.reduceat(log.by_sweep[: run.sweeps], ends[:-1], axis=0)
-    recent = recent_impulses(log).reshape(-1, len(sigma), 3)
+    recent = recent_impulses(log)
+    recent = recent.reshape(len(recent), len(sigma), 3)
     amplitude = sigma * _largest_change(recent) / unit
     moving = np.sort(np.argsort(-amplitude, kind="stable")[:MOVING])
     visits, failures = (sample.astype(STORED_VISIT) for sample in samples(log))

@@ -62,6 +62,7 @@ def explain(
         check_sweeps(max_sweeps)
         local = configure(solver, registered(plugin or []))
         unit = single(find_problem(problem), local, accuracy, start, outer, Limits(max_sweeps, max_seconds))
+        out.mkdir(parents=True, exist_ok=True)
         facts = _facts(unit, log, plugin or [])
         typer.echo(title(facts))
         for subject, text in words(facts):
@@ -124,7 +125,6 @@ def _draw(facts: "Facts", out: Path) -> Path:
     from fibercontact.bench.explain_figure import draw
     from fibercontact.bench.figures import save
 
-    out.mkdir(parents=True, exist_ok=True)
     about = facts.record.about
     name = f"{about['problem']}.{about['solver']}.{about['accuracy']}".replace(":", "-").replace("/", "-")
     save(draw(facts), out, name)
