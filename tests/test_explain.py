@@ -1,8 +1,9 @@
 """What `explain` finds out: rates, periods, failing contacts that are known beforehand, and what it says of them."""
 
-import dataclasses
 import math
+import re
 from functools import cache
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array, eye_array
 from typer.testing import CliRunner
 
+from fibercontact.bench import explain, visits
 from fibercontact.bench.explain import (
     GROWING,
     LARGE,
@@ -43,7 +45,7 @@ from fibercontact.gauss_seidel.visit_log import RECENT
 from fibercontact.jit import jit
 from fibercontact.local.contract import LocalSolver, Status
 from fibercontact.local.registry import Configured, configure, registered
-from fibercontact.problem.fclib import write
+from fibercontact.problem.fclib import read, write
 from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.problem.step import StepProblem
 
@@ -237,6 +239,24 @@ def test_the_contact_that_changes_is_named_by_its_number():
     assert found.change.sweeps == pytest.approx((1.0 - 0.63) / 0.01)
 
 
+def test_a_change_of_regime_of_a_real_plateau_is_foretold():
+    """Thousands of sweeps without one, then the contact that was named, about when it was said."""
+    problem = find_problem("cylinder-straight-40-mu0.1-070")
+    laid = lay_out(read(problem.file).problem)
+    about = ABOUT | {"tolerance": 1e-8}
+
+    def run(sweeps):
+        return logged(GaussSeidel(local("secular"), 1e-8, sweeps), laid, None, about)[2]
+
+    record = run(4000)
+    motion = examine(record, laid, local("secular"), local("secular")).motion
+    assert motion.kind == "drift"
+    assert record.counts[2000:, 5].sum() == 0
+    before, later = (run(4000 + int(f * motion.change.sweeps)) for f in (0.7, 1.1))
+    assert (before.switches == record.switches).all()
+    assert np.flatnonzero(later.switches != record.switches).tolist() == [motion.change.contact]
+
+
 # Where things sit
 
 
@@ -352,7 +372,7 @@ def test_known_failing_contacts_are_found():
     assert "100 % sit on 2 of 8 contacts (1, 4)." in text["local solves"]
     assert "Contact 1: mu 0.9. Contact 4: mu 0.9." in text["local solves"]
     assert "Of 40 sampled ones secular solves 40" in text["local solves"]
-    assert "In 40 the contact was left with less than 1% of the impulse" in text["local solves"]
+    assert "In 40 the contact was left with less than 1 % of the impulse it needs." in text["local solves"]
     assert "the run stands still" in text["impulses"]
 
 
@@ -417,7 +437,10 @@ def test_cycles_and_drifts_are_said():
     x = np.zeros((RECENT, 6, 3))
     x[:, 2, 1] = k % 5
     text = dict(words(facts_of(record(recent=x))))["impulses"]
-    assert "The impulses cycle with period 5 over the last 64 sweeps: 1 contacts move" in text
+    assert (
+        "The impulses cycle with period 5 over the last 64 sweeps; 1 contact moved by more than 1e-06 b,"
+        in text
+    )
     assert "on 1 of 6 contacts (2). Periods of single contacts: 5 (1)." in text
     x[:, 2, 1] = 0.0
     x[:, 3, 0] = 100.0 - k
@@ -556,9 +579,9 @@ def test_explain_says_and_draws_the_same_from_the_run_and_from_its_log(file, tmp
     assert (tmp_path / "here" / "stack.mfb.high.svg").stat().st_size > 0
 
     call("solve", "stack.hdf5", "--solver", "mfb", "--accuracy", "high", "--log-file", "log.hdf5")
-    read = call("explain", "stack.hdf5", "mfb", "--log", "log.hdf5", "--out", "here")
-    assert read.exit_code == 0, read.stderr
-    assert read.stdout == ran.stdout
+    again = call("explain", "stack.hdf5", "mfb", "--log", "log.hdf5", "--out", "here")
+    assert again.exit_code == 0, again.stderr
+    assert again.stdout == ran.stdout
 
 
 def test_explain_takes_plugins_and_limits(file, tmp_path):
@@ -617,6 +640,25 @@ def test_problems_by_name(tmp_path, monkeypatch):
         find_problem("stack-9", "mine")
 
 
-def test_facts_are_frozen():
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        facts_of(record()).b_ref = 0.0
+# The page that explains it
+
+
+PAGE = Path(__file__).parents[1] / "docs" / "explain.md"
+
+
+def test_the_page_speaks_of_what_there_is():
+    text = PAGE.read_text(encoding="utf-8")
+    for link in re.findall(r"\]\((?!http)([^)]+)\)", text):
+        assert (PAGE.parent / link).is_file(), link
+    commands = set(re.findall(r"^fibercontact (\w+) ", text, flags=re.MULTILINE))
+    assert commands <= {registered.name for registered in app.registered_commands}
+    assert all(f"`{name}`" in text for name in visits.SHAPES)
+    thresholds = [
+        f"above {explain.STALLED:g} of", f"hold {100 * explain.HELD:g} %", f"p ≤ {explain.LONGEST_PERIOD}",
+        f"{100 * explain.TELLS:g} % of the pairs", f"{explain.CERTAIN:g} standard deviations",
+        f"less than {100 * explain.EMPTY:g} % of", f"least {explain.STRAIGHT:g} of their path",
+        f"above {explain.LARGE:g} b", f"{explain.GROWING:g} times", f"last {RECENT} sweeps",
+        f"more than {visits.ROWS} sweeps", f"at most {visits.SAMPLE} visits", f"the {visits.MOVING} contacts",
+        f"{visits.FIXED_BYTES / 1e6:g} MB and {visits.PER_CONTACT_BYTES} bytes",
+    ]  # fmt: skip
+    assert [said for said in thresholds if said not in text] == []

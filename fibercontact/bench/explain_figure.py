@@ -17,7 +17,7 @@ __all__ = ["draw"]
 BLACK, ORANGE, SKY, GREEN, BLUE, RED, PINK, BROWN = COLOURS
 REGIMES = (("open", "0.85"), ("stick", SKY), ("slip", ORANGE))
 LONG = 200
-"""Sweeps above which the axis of the sweeps is logarithmic."""
+"""Sweeps above which the axis of the sweeps is logarithmic, and curves are pixels in the SVG: it stays short."""
 WIDE = 30.0
 """Ratio of largest and smallest value above which an axis of a property is logarithmic."""
 
@@ -73,7 +73,7 @@ def _residual(axes: Axes, facts: Facts) -> None:
 def _curve(axes: Axes, x: Array, y: Array, label: str, colour: str, width: float) -> Array:
     """Draw what a logarithmic axis can show of a residual, and return it."""
     shown = np.isfinite(y) & (y > 0)
-    axes.plot(x[shown], y[shown], color=colour, linewidth=width, label=label)
+    axes.plot(x[shown], y[shown], color=colour, linewidth=width, label=label, rasterized=len(x) > LONG)
     return y[shown]
 
 
@@ -82,7 +82,7 @@ def _regimes(axes: Axes, facts: Facts) -> None:
     visits = record.counts[1:, :3].sum(axis=1)
     shares = 100.0 * record.counts[1:, :3].T / np.maximum(visits, 1)
     axes.stackplot(record.sweeps[1:], *shares, labels=[name for name, _ in REGIMES],
-                   colors=[colour for _, colour in REGIMES])  # fmt: skip
+                   colors=[colour for _, colour in REGIMES], rasterized=True)  # fmt: skip
     _sweep_axis(axes, facts)
     axes.set_ylim(0.0, 100.0)
     axes.set_ylabel("share of the visits (%)")
@@ -93,7 +93,9 @@ def _regimes(axes: Axes, facts: Facts) -> None:
     if facts.failures.total:
         failing = 100.0 * record.counts[1:, 3] / np.maximum(visits, 1)
         right = axes.twinx()
-        right.plot(record.sweeps[1:], failing, color=BLACK, linewidth=1.2, label="failed (right)")
+        right.plot(
+            record.sweeps[1:], failing, color=BLACK, linewidth=1.2, label="failed (right)", rasterized=True
+        )
         right.set_ylim(0.0, 1.3 * max(float(failing.max()), 1e-9))
         right.set_ylabel("failed local solves (% of the visits)")
         more = right.get_legend_handles_labels()

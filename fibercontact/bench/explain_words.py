@@ -98,7 +98,7 @@ def _holders(facts: Facts) -> Iterator[str]:
     holders = facts.holders
     if facts.record.about["solved"] or not len(holders):
         return
-    yield f"{HELD:.0%} of its square sits on {_of(holders, facts)}."
+    yield f"{_percent(HELD)} of its square sits on {_of(holders, facts)}."
     if facts.failures.total:
         on_failing = facts.residual[facts.failures.by_contact > 0].sum()
         yield f"Contacts with failed local solves hold {_percent(on_failing)} of it."
@@ -144,7 +144,7 @@ def _replayed(facts: Facts) -> Iterator[str]:
     yield f"{number(failures.secular_left)} of the local b; {number(failures.left)} was left (median)."
     yield f"From the impulse without friction {solver} itself solves {failures.restarted}."
     if failures.empty:
-        yield f"In {failures.empty} the contact was left with less than {EMPTY:.0%} of the impulse that it needs."
+        yield f"In {failures.empty} the contact was left with less than {_percent(EMPTY)} of the impulse it needs."
 
 
 def _fallback(facts: Facts) -> Iterator[str]:
@@ -187,8 +187,8 @@ def _motion(facts: Facts) -> Iterator[str]:
         "drift": f"The impulses drift along a straight line (way over path {motion.straightness:.2f})",
         "wander": f"The impulses wander without a period up to 32 (way over path {motion.straightness:.2f})",
     }[motion.kind]
-    yield f"{what} {over}: {moving} contacts move by more than {least};"
-    yield f"{HELD:.0%} of the squared movement is on {_of(motion.movers, facts)}."
+    yield f"{what} {over}; {_count(moving, 'contact')} moved by more than {least},"
+    yield f"{_percent(HELD)} of the squared movement on {_of(motion.movers, facts)}."
     if motion.change is not None:
         contact, regime, sweeps = motion.change
         does = {"open": "opens", "slip": "begins to slip"}[regime]
