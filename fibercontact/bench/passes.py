@@ -9,7 +9,7 @@ import dataclasses
 import tempfile
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from fibercontact.bench.protocol import ACCURACIES, OUTERS, BenchError, Limits
+from fibercontact.bench.visits import SAMPLE, VisitRecord, record_of, write_log
 from fibercontact.gauss_seidel.anderson import Acceleration
 from fibercontact.gauss_seidel.solver import GaussSeidel, Outcome, Run, Visits
 from fibercontact.gauss_seidel.sweep import BlockSystem, block_system
+from fibercontact.gauss_seidel.visit_log import new_log
 from fibercontact.local.contract import Status
 from fibercontact.local.registry import Configured, configure, registered
 from fibercontact.problem.fclib import FclibFile, read, write
@@ -28,7 +30,10 @@ from fibercontact.problem.incremental import IncrementalProblem, ProblemWarning
 from fibercontact.problem.measure import Measure, measure
 from fibercontact.problem.step import StepProblem
 
-__all__ = ["Desk", "Laid", "Pass", "gauss_seidel", "judge", "lay_out", "options_text", "starting_impulse"]
+__all__ = [
+    "Desk", "Laid", "LogOrder", "Pass", "gauss_seidel", "judge", "lay_out", "logged", "options_text",
+    "starting_impulse",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 
@@ -41,6 +46,13 @@ class Laid(NamedTuple):
     setup_seconds: float
 
 
+class LogOrder(NamedTuple):
+    """Where the visits of a pass are written, and what is known of it before."""
+
+    file: Path
+    about: Mapping[str, Any]
+
+
 class Pass(NamedTuple):
     """What to do with the problem at hand; `solver` is a local solver's specification."""
 
@@ -49,6 +61,7 @@ class Pass(NamedTuple):
     outer: str
     limits: Limits
     timed: bool
+    log: LogOrder | None = None
 
 
 def gauss_seidel(local: Configured, tolerance: float, outer: str, limits: Limits) -> GaussSeidel:
@@ -67,6 +80,19 @@ def lay_out(problem: IncrementalProblem | StepProblem) -> Laid:
     assert isinstance(incremental, IncrementalProblem)
     system = block_system(incremental)
     return Laid(incremental, system, time.perf_counter() - began)
+
+
+def logged(
+    loop: GaussSeidel, laid: Laid, start: Array | None, about: Mapping[str, Any]
+) -> tuple[Run, Measure, VisitRecord]:
+    """Solve with the residual looked at after every sweep and every visit recorded; measure and judge."""
+    problem = laid.problem
+    log = new_log(problem.n, loop.max_sweeps, SAMPLE)
+    every = dataclasses.replace(loop, check_every=1)
+    run = every.solve_system(laid.system, problem.b_ref, start, history=True, log=log)
+    found = measure(problem, run.r, loop.local.facets)
+    verdict = judge(run, found, loop.tolerance) | {"residual": found.residual}
+    return run, found, record_of(log, run, problem.sigma, problem.b_ref, {**about, **verdict})
 
 
 def starting_impulse(file: FclibFile, start: str) -> Array | None:
@@ -150,11 +176,14 @@ class Desk:
         }
 
     def solve(self, task: Pass) -> dict[str, Any]:
-        """One pass over the problem at hand."""
+        """One pass over the problem at hand; a log that cannot be written is told in `log_fault`."""
         assert self._laid is not None, "no problem loaded"
         local = self._solvers[task.solver]
         tolerance = ACCURACIES[task.accuracy]
         loop = gauss_seidel(local, tolerance, task.outer, task.limits)
+        if task.log is not None:
+            run, found, record = logged(loop, self._laid, self._start, task.log.about)
+            return judge(run, found, tolerance) | _account(run, found) | _written(task.log.file, record)
         if not task.timed:
             loop = dataclasses.replace(loop, check_every=1)
         problem = self._laid.problem
@@ -163,6 +192,15 @@ class Desk:
         seconds = time.perf_counter() - began
         found = measure(problem, run.r, local.facets)
         return {"seconds": seconds} | judge(run, found, tolerance) | _account(run, found)
+
+
+def _written(file: Path, record: VisitRecord) -> dict[str, str]:
+    """Write a log; a full disk is no fault of the solver's."""
+    try:
+        write_log(file, record)
+    except OSError as fault:
+        return {"log_fault": f"{file}: {fault}"}
+    return {}
 
 
 def _warm_up(local: Configured) -> None:

@@ -1,6 +1,7 @@
 """A set of problems: a folder of FCLIB files, with a manifest or without."""
 
 import csv
+import difflib
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,7 +13,7 @@ from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.reference.existence import UNSOLVABLE
 from fibercontact.reference.store import Store, references_file
 
-__all__ = ["Entry", "find_file", "find_set", "limited", "load_set"]
+__all__ = ["Entry", "entry_of", "find_file", "find_problem", "find_set", "limited", "load_set"]
 
 MANIFEST = "manifest.csv"
 SUFFIXES = (".hdf5", ".h5")
@@ -79,6 +80,26 @@ def load_set(folder: Path) -> list[Entry]:
     return [_proved(entry, store) if entry.hash in claimed else entry for entry in entries]
 
 
+def entry_of(file: Path) -> Entry:
+    """The problem in a file, its folder taken for its scene."""
+    return Entry(file, file.parent.resolve().name, _sha256(file)[:HASH_DIGITS])
+
+
+def find_problem(name: str, problems: str = "core306") -> Entry:
+    """A problem by its file, or by its name in a set; raises `BenchError` naming the nearest names."""
+    if Path(name).is_file():
+        return entry_of(Path(name))
+    folder = find_set(problems)
+    files = {file.stem: file for file in sorted(folder.iterdir()) if file.suffix in SUFFIXES}
+    if name in files:
+        return entry_of(files[name])
+    near = difflib.get_close_matches(name, files, n=3, cutoff=0.0)
+    raise BenchError(
+        f"no problem {name!r}: neither a file nor one of the {len(files)} of {folder.name} "
+        f"(nearest: {', '.join(near)})"
+    )
+
+
 def limited(entries: Sequence[Entry], limit: int | None) -> list[Entry]:
     """`limit` problems spread evenly over a set, for trials; all of them by default."""
     if limit is None or limit >= len(entries):
@@ -97,7 +118,7 @@ def _proved(entry: Entry, store: Store) -> Entry:
 
 def _found(folder: Path) -> list[Entry]:
     files = sorted(file for file in folder.iterdir() if file.suffix in SUFFIXES)
-    return [Entry(file, folder.resolve().name, _sha256(file)[:HASH_DIGITS]) for file in files]
+    return [entry_of(file) for file in files]
 
 
 def _listed(manifest: Path) -> list[Entry]:

@@ -11,6 +11,7 @@ from fibercontact.errors import UserError
 __all__ = [
     "ACCURACIES",
     "DEFAULT_SOLVERS",
+    "LOGS",
     "OUTERS",
     "PROTOCOL",
     "PUBLISHED",
@@ -27,6 +28,7 @@ ACCURACIES = {"low": 1e-2, "mid": 1e-4, "high": 1e-6, "full": 1e-8}
 
 STARTS = ("cold", "guess")
 OUTERS = ("plain", "accelerated")
+LOGS = ("visits",)
 
 DEFAULT_SOLVERS = (
     "pyramid",

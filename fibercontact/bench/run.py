@@ -9,20 +9,23 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import fibercontact
 from fibercontact.bench.environment import cpu_model, load, one_thread, usable_cores, versions
-from fibercontact.bench.passes import Pass, options_text
+from fibercontact.bench.passes import LogOrder, Pass, options_text
 from fibercontact.bench.problem_set import Entry
 from fibercontact.bench.protocol import ACCURACIES, PROTOCOL, Limits
 from fibercontact.bench.rows import RATES, TIMED, Key, Row, RowFile
+from fibercontact.bench.visits import about, log_file
 from fibercontact.bench.worker import Crashed, Ended, Hung, Refused, Worker
 from fibercontact.jit import content_key
 from fibercontact.local.registry import Configured
 
-__all__ = ["Listener", "Plan", "Unit", "run"]
+__all__ = ["Listener", "Plan", "Unit", "run", "single"]
 
+VISITS = "visits"
+"""Folder of the visit logs in a run's folder."""
 GRACE_SECONDS = 5.0
 """Beyond its own time limit a solver is taken to hang, and killed."""
 
@@ -48,10 +51,14 @@ class Unit:
     key: Key
     facets: int
 
+    def about(self) -> dict[str, Any]:
+        """What a visit log says of its run before it is made."""
+        return about(self.entry, self.key, self.facets, ACCURACIES[self.key.accuracy])
+
 
 @dataclass(frozen=True)
 class Plan:
-    """What a run is asked to do."""
+    """What a run is asked to do; `visits` asks for a visit log of every pass that is not timed."""
 
     entries: Sequence[Entry]
     solvers: Sequence[Configured]
@@ -63,6 +70,7 @@ class Plan:
     jobs: int = 1
     limits: Limits = field(default_factory=Limits)
     plugins: Sequence[Path] = ()
+    visits: bool = False
 
     def units(self) -> list[Unit]:
         """The rows that were asked for: the timed accuracies first, problem by problem."""
@@ -103,6 +111,11 @@ class Plan:
         return {solver.label: solver.registered.fingerprint for solver in self.solvers}
 
 
+def single(entry: Entry, solver: Configured, accuracy: str, start: str, outer: str, limits: Limits) -> Unit:
+    """The row of one solver on one problem, as a table's run would have it."""
+    return Plan([entry], [solver], (), (accuracy,), start, outer, limits=limits).work()[0]
+
+
 def _code() -> str:
     """Key of the sources that decide the numbers, the local solvers aside."""
     package = Path(fibercontact.__file__).parent
@@ -115,18 +128,26 @@ def run(plan: Plan, rows: RowFile, listener: Listener) -> list[str]:
 
     Raises `BenchError` when the workers cannot load the solvers, `KeyboardInterrupt` after stopping them.
     """
-    done = {Key.of(row) for row in rows.read()}
+    done = {Key.of(row): row for row in rows.read()}
     units = plan.work()
-    missing = [unit for unit in units if unit.key not in done]
-    for note in [*rows.notes, *_strangers(done, units, rows.path)]:
+    logs = rows.path.parent / VISITS if plan.visits else None
+    missing = [unit for unit in units if unit.key not in done or _lacks_log(unit, done[unit.key], logs)]
+    for note in [*rows.notes, *_strangers(set(done), units, rows.path)]:
         listener.note(note)
     faults: list[str] = []
     with one_thread(), rows.appending():
         for mode, jobs in ((RATES, plan.jobs), (TIMED, 1)):
             problems = list(_by_problem(unit for unit in missing if unit.key.mode == mode))
             first = {key: row for row in rows.read() if (key := Key.of(row)) is not None}
-            faults += _measure(plan, problems, min(jobs, len(problems)), mode, rows, listener, first)
+            faults += _measure(plan, problems, min(jobs, len(problems)), mode, rows, listener, first, logs)
     return list(dict.fromkeys(faults))
+
+
+def _lacks_log(unit: Unit, row: Row, logs: Path | None) -> bool:
+    """Whether a row that is there came of a pass whose log is asked for and not there."""
+    if logs is None or unit.key.mode == TIMED or "outcome" not in row:  # killed or crashed: nothing to log
+        return False
+    return not log_file(logs, unit.entry, unit.key).is_file()
 
 
 def _strangers(done: set[Key | None], units: list[Unit], path: Path) -> Iterator[str]:
@@ -153,6 +174,7 @@ def _measure(
     rows: RowFile,
     listener: Listener,
     first: Mapping[Key, Row],
+    logs: Path | None,
 ) -> list[str]:
     """Measure problems with `jobs` workers at once; a timed run pins its only one, and finds `first` passes."""
     todo: queue.SimpleQueue[list[Unit]] = queue.SimpleQueue()
@@ -172,7 +194,7 @@ def _measure(
     def serve(worker: Worker) -> None:
         try:
             while not errors:
-                faults.extend(_Measurement(worker, todo.get_nowait(), record, listener, first).run())
+                faults.extend(_Measurement(worker, todo.get_nowait(), record, listener, first, logs).run())
         except (queue.Empty, Ended):
             pass
         except BaseException as error:
@@ -206,14 +228,16 @@ class _Measurement:
         record: Callable[[Unit, Row], None],
         listener: Listener,
         first: Mapping[Key, Row],
+        logs: Path | None,
     ) -> None:
-        self.first = first
+        self.first, self.logs = first, logs
+        self.faults: list[str] = []
         self.worker, self.units, self.record, self.listener = worker, units, record, listener
         self.file, self.start = units[0].entry.file, units[0].key.start
         self.common: Row = {}
 
     def run(self) -> list[str]:
-        """Measure and record; returns why not, when the problem cannot be loaded."""
+        """Measure and record; returns what went wrong: a problem or a log that cannot be read or written."""
         load_before = load()
         try:
             sizes = self.worker.load(self.file, self.start)
@@ -225,7 +249,7 @@ class _Measurement:
         self.common = sizes | {"load": load_before, "threads": 1} | dict(versions())
         timed = [(unit, first) for unit in self.units if (first := self._first(unit)) is not None]
         self._time(timed)
-        return []
+        return self.faults
 
     def _first(self, unit: Unit) -> Row | None:
         """The pass that is not timed; returned when timed ones are to follow, recorded when not."""
@@ -235,7 +259,8 @@ class _Measurement:
                 return first
         else:
             first = self._pass(unit, timed=False)
-        self._write(unit, first, [])
+        if unit.key not in self.first:  # else it was the row's log that was missing
+            self._write(unit, first, [])
         return None
 
     def _time(self, solved: list[tuple[Unit, Row]]) -> None:
@@ -253,13 +278,19 @@ class _Measurement:
     def _pass(self, unit: Unit, timed: bool) -> Row:
         key = unit.key
         self.listener.now(unit.entry.name, key.solver)
-        task = Pass(key.solver, key.accuracy, key.outer, key.limits, timed)
+        order = None
+        if self.logs is not None and not timed:
+            order = LogOrder(log_file(self.logs, unit.entry, key), unit.about())
+        task = Pass(key.solver, key.accuracy, key.outer, key.limits, timed, order)
         try:
-            return self.worker.solve(self.file, self.start, task, key.max_seconds + GRACE_SECONDS)
+            found = self.worker.solve(self.file, self.start, task, key.max_seconds + GRACE_SECONDS)
         except Hung as fault:
             return _lost("time", fault)
         except (Crashed, Refused) as fault:
             return _lost("crash", fault)
+        if fault_of_log := found.pop("log_fault", ""):
+            self.faults.append(fault_of_log)
+        return found
 
     def _write(self, unit: Unit, outcome: Row, seconds: list[float]) -> None:
         outcome = {name: value for name, value in outcome.items() if name != "seconds"}

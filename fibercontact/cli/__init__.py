@@ -10,6 +10,7 @@ import typer
 import fibercontact
 from fibercontact.cli import (
     check,
+    explain,
     info,
     level1,
     new_solver,
@@ -32,6 +33,7 @@ app = typer.Typer(
 
 app.command("table")(table.table)
 app.command("solve")(solve.solve)
+app.command("explain")(explain.explain)
 app.command("info")(info.info)
 app.command("solvers")(solvers.solvers)
 app.command("check")(check.check)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fibercontact.bench.protocol import ACCURACIES, OUTERS, STARTS
+from fibercontact.bench.protocol import ACCURACIES, LOGS, OUTERS, STARTS
 from fibercontact.cli.errors import check_known, user_errors
 from fibercontact.cli.solvers import Plugins
 
@@ -31,6 +31,16 @@ def solve(
     out: Annotated[
         Path | None, typer.Option(metavar="ANSWER.hdf5", help="Write problem and answer here.")
     ] = None,
+    log: Annotated[
+        str | None,
+        typer.Option(metavar="visits", help="Log every visit; the time is then not a measurement."),
+    ] = None,
+    log_file: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="LOG.hdf5", help="Where; PROBLEM.SOLVER.ACCURACY.KEY.hdf5 in visits/ by default."
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, for scripts.")] = False,
 ) -> None:
     """Solve the problem in an FCLIB file and measure the answer.
@@ -44,9 +54,15 @@ def solve(
         check_known("accuracy", [accuracy], list(ACCURACIES))
         check_known("start", [start], STARTS)
         check_known("outer loop", [outer], OUTERS)
+        check_known("log", [log] if log else [], LOGS)
         _check_output(file, out)
-        from fibercontact.bench.passes import gauss_seidel, judge, lay_out, starting_impulse
+        _check_output(file, log_file)
+        from fibercontact.bench.passes import gauss_seidel, judge, lay_out, logged, starting_impulse
+        from fibercontact.bench.problem_set import entry_of
         from fibercontact.bench.protocol import Limits
+        from fibercontact.bench.run import VISITS, single
+        from fibercontact.bench.visits import check_sweeps, write_log
+        from fibercontact.bench.visits import log_file as default_log
         from fibercontact.local.registry import configure, registered
         from fibercontact.problem.fclib import read
         from fibercontact.problem.measure import measure
@@ -55,9 +71,17 @@ def solve(
         found = read(file)
         first = starting_impulse(found, start)
         laid = lay_out(found.problem)
-        loop = gauss_seidel(local, ACCURACIES[accuracy], outer, Limits(max_sweeps, max_seconds))
-        run = loop.solve_system(laid.system, laid.problem.b_ref, first)
-        measured = measure(laid.problem, run.r, local.facets)
+        limits = Limits(max_sweeps, max_seconds)
+        loop = gauss_seidel(local, ACCURACIES[accuracy], outer, limits)
+        if log or log_file:
+            check_sweeps(max_sweeps)
+            unit = single(entry_of(file), local, accuracy, start, outer, limits)
+            run, measured, record = logged(loop, laid, first, unit.about())
+            log_file = log_file or default_log(Path(VISITS), unit.entry, unit.key)
+            write_log(log_file, record)
+        else:
+            run = loop.solve_system(laid.system, laid.problem.b_ref, first)
+            measured = measure(laid.problem, run.r, local.facets)
         verdict = judge(run, measured, loop.tolerance)
         answer = {
             "file": str(file), "solver": solver, "accuracy": accuracy, "tolerance": loop.tolerance,
@@ -65,6 +89,7 @@ def solve(
             "reason": verdict["reason"], "detail": verdict["detail"],
             "residual": measured.residual, "coulomb_residual": measured.coulomb,
             "sweeps": run.sweeps, "seconds": run.seconds, "contacts": laid.problem.n,
+            "log": str(log_file) if log_file else None,
         }  # fmt: skip
         if out is not None:
             _write_answer(out, found, laid.problem, run.r)
@@ -85,8 +110,10 @@ def _lines(answer: dict[str, Any]) -> str:
             ("residual", f"{answer['residual']:.3e} (tolerance {answer['tolerance']:.0e})"),
             ("Coulomb", f"{answer['coulomb_residual']:.3e}"),
             ("sweeps", answer["sweeps"]),
-            ("time", f"{1e3 * answer['seconds']:.3g} ms"),
+            ("time", f"{1e3 * answer['seconds']:.3g} ms" + (" (visits logged)" if answer["log"] else "")),
+            ("log", answer["log"]),
         )
+        if text is not None
     )
 
 

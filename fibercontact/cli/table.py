@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fibercontact.bench.protocol import ACCURACIES, DEFAULT_SOLVERS, OUTERS, STARTS, BenchError
+from fibercontact.bench.protocol import ACCURACIES, DEFAULT_SOLVERS, LOGS, OUTERS, STARTS, BenchError
 from fibercontact.cli.errors import check_known, user_errors
 from fibercontact.cli.level1 import one_contact_table
 from fibercontact.cli.solvers import Plugins, split_solvers
@@ -57,6 +57,12 @@ def table(
     ] = False,
     max_sweeps: Annotated[int, typer.Option(help="Sweeps a problem at most.", min=1)] = 5000,
     max_seconds: Annotated[float, typer.Option(help="Seconds a problem at most.", min=0)] = 30.0,
+    log: Annotated[
+        str | None,
+        typer.Option(
+            metavar="visits", help="Log the visits of the passes that are not timed, in FOLDER/visits."
+        ),
+    ] = None,
 ) -> None:
     """Replay a set of problems through the local solvers: failure rates, sweeps and times, in one table.
 
@@ -79,10 +85,11 @@ def table(
         check_known("level", [str(level)], ["1", "3"])
         check_known("start", [start], STARTS)
         check_known("outer loop", [outer], OUTERS)
+        check_known("log", [log] if log else [], LOGS)
         if level == 1:
-            if accuracy or rates:
+            if accuracy or rates or log:
                 raise BenchError(
-                    "--accuracy and --rates belong to level 3: at level 1 each contact is solved once"
+                    "--accuracy, --rates and --log belong to level 3: at level 1 each contact is solved once"
                 )
             local = _configured(solvers, plugin or [])
             one_contact_table(problems, local, plugin or [], repetitions, limit, out, max_seconds)
@@ -92,7 +99,10 @@ def table(
         from fibercontact.bench.protocol import Limits
         from fibercontact.bench.rows import RowFile, move_away
         from fibercontact.bench.run import Plan
+        from fibercontact.bench.visits import check_sweeps
 
+        if log:
+            check_sweeps(max_sweeps)
         folder = find_set(problems or "core306")
         entries = limited(load_set(folder), limit)
         plan = Plan(
@@ -106,6 +116,7 @@ def table(
             jobs=jobs or len(usable_cores()),
             limits=Limits(max_sweeps, max_seconds),
             plugins=plugin or [],
+            visits=log is not None,
         )
         run_folder = out or Path("runs") / folder.resolve().name
         if fresh and (moved := move_away(run_folder)):

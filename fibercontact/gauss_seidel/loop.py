@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fibercontact.gauss_seidel.anderson import Memory, extrapolate, remember
 from fibercontact.gauss_seidel.sweep import LAST_FAILURE, BlockSystem, Sweeper, residual_from, sweep, velocity
-from fibercontact.gauss_seidel.visit_log import VisitLog
+from fibercontact.gauss_seidel.visit_log import CURED, VisitLog
 from fibercontact.jit import jit
 from fibercontact.local.contract import KERNEL_SIGNATURE
 from fibercontact.problem.cone import project
@@ -123,14 +123,18 @@ def run_sweeps(
         if not math.isfinite(residual):
             return done, math.nan, False
         if marks:
+            before = guard[0]
             watch(guard, residual, visits[1 : LAST_FAILURE + 1].sum())
+            if guard[0] > before:
+                log.state[CURED] = done
         if map_ends:
             accelerate(s, how, m, r, u, residual)
     return done, best, False
 
 
-_F, _I, _VECTOR, _INDEX, _MATRIX, _COUNTS = (
+_F, _I, _VECTOR, _INDEX, _MATRIX, _COUNTS, _TABLE = (
     types.float64, types.int64, types.float64[::1], types.int32[::1], types.float64[:, ::1], types.int64[::1],
+    types.int64[:, ::1],
 )  # fmt: skip
 _SIGNATURE = types.Tuple((_I, _F, types.boolean))(
     types.FunctionType(KERNEL_SIGNATURE),
@@ -139,7 +143,7 @@ _SIGNATURE = types.Tuple((_I, _F, types.boolean))(
     types.NamedTuple((_I, _F, _F, _I, _I, _F), Sweeper),
     types.NamedTuple((_MATRIX, _MATRIX, _VECTOR, _VECTOR, _VECTOR, _VECTOR), Memory),
     _VECTOR, _VECTOR, _VECTOR, _VECTOR, _COUNTS,
-    types.NamedTuple((types.int64[:, ::1], types.int64[:, ::1], _MATRIX, _MATRIX, _MATRIX, _COUNTS), VisitLog),
+    types.NamedTuple((_TABLE, _VECTOR, _TABLE, _MATRIX, _MATRIX, _MATRIX, _COUNTS), VisitLog),
     _VECTOR, _F, _I, _I,
 )  # fmt: skip
 

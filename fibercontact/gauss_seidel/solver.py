@@ -19,7 +19,7 @@ from fibercontact.gauss_seidel.sweep import (
     residual_from,
     velocity,
 )
-from fibercontact.gauss_seidel.visit_log import VisitLog, no_log
+from fibercontact.gauss_seidel.visit_log import VisitLog, check_log, no_log
 from fibercontact.local.contract import Status
 from fibercontact.local.registry import Configured
 from fibercontact.problem.incremental import IncrementalProblem
@@ -137,7 +137,12 @@ class GaussSeidel:
         history: bool = False,
         log: VisitLog | None = None,
     ) -> Run:
-        """Solve a problem that is already laid out for sweeps; `log` records the visits."""
+        """Solve a problem that is already laid out for sweeps; `log`, an empty one, records the visits.
+
+        Raises `ValueError` when the start or the log does not fit the problem.
+        """
+        if log is not None:
+            check_log(log, len(system.mu))
         compile_loop()
         kernel, options = self.local.kernel(), self.local.options
         began = time.perf_counter()

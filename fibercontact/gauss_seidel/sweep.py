@@ -207,4 +207,4 @@ def sweep(
         if s.sigma[i] * max(abs(d0), abs(d1), abs(d2)) > how.negligible:
             r[3 * i], r[3 * i + 1], r[3 * i + 2] = new[0], new[1], new[2]
             push(s, i, d0, d1, d2, u)
-    end_sweep(log)
+    end_sweep(log, s.sigma, r)

@@ -2,34 +2,39 @@
 
 Counts are exact. Of the visits themselves two uniform samples are kept, one of all and one of those whose local solve
 failed: each visit replaces a random one once its sample is full [Vitter 1985, algorithm R], the same ones in every
-run. The impulses of the last sweeps are kept whole, which shows what cycles.
+run. The impulses after the last sweeps are kept whole, which shows what cycles.
+
+What a visit calls is compiled into the sweep: calls that pass arrays count references, which takes longer than to
+record.
 
 Reference: Vitter, Random sampling with a reservoir, ACM Trans. Math. Software 11, 1985; PROTOCOL level 2.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fibercontact.jit import jit
+from fibercontact.jit import jit, jit_inline
 from fibercontact.local.contract import Matrix, Status
 from fibercontact.problem.cone import Vector
 
 __all__ = [
-    "BY_SWEEP", "RECENT", "SWITCHES", "UNSEEN", "VISIT", "VisitLog", "end_sweep", "new_log", "no_log",
-    "record", "samples",
+    "BY_SWEEP", "CURED", "FAILED", "RECENT", "SEEN", "SWEEPS", "SWITCHES", "VISIT", "VisitLog", "check_log",
+    "end_sweep", "new_log", "no_log", "recent_impulses", "record", "samples",
 ]  # fmt: skip
 
 RECENT = 64
 """Last sweeps whose impulses are kept."""
 
-STATUSES = len(Status)
+CONVERGED, STATUSES = int(Status.CONVERGED), len(Status)
 SWITCHES, LAST_REGIME = STATUSES, STATUSES + 1  # columns of `by_contact` after the statuses
 UNSEEN = -1
 BY_SWEEP = ("open", "stick", "slip", "failures", "iterations", "switches")
 """Columns of `by_sweep`."""
 FAILURES, ITERATIONS, CHANGES = 3, 4, 5
+SWEEPS, SEEN, FAILED, RANDOM, CURED = range(5)  # what `state` counts, see VisitLog
 
 VISIT = np.dtype(
     [
@@ -39,17 +44,22 @@ VISIT = np.dtype(
 )  # fmt: skip
 """A visit of a sample: the local problem as the solver got it, the impulse it started from and its answer."""
 WIDTH = VISIT.itemsize // 8
+Head = tuple[float, float, float, float, float]
+
+PRIME, SEED = 2**31 - 1, 19_850_301
 
 
 class VisitLog(NamedTuple):
     """Filled in place by the sweeps; without contacts it records nothing."""
 
     by_sweep: NDArray[np.int64]  # (sweeps, 6), see BY_SWEEP
+    size: NDArray[np.float64]  # (sweeps,) root mean square of sigma_i r_i after each sweep, m/s
     by_contact: NDArray[np.int64]  # (n, statuses + 2): visits by status, changes of regime, last regime
     visits: NDArray[np.float64]  # (capacity, WIDTH), rows of VISIT
     failures: NDArray[np.float64]  # (capacity, WIDTH)
-    recent: NDArray[np.float64]  # (RECENT, 3n), sweep k in row k % RECENT
-    state: NDArray[np.int64]  # (4,): sweeps done, visits seen, failures seen, state of the random numbers
+    recent: NDArray[np.float64]  # (RECENT, 3n) impulses after sweep k, from 0, in row k % RECENT
+    # (5,): sweeps done, visits and failures seen, random number, sweeps when the proximal term came in force
+    state: NDArray[np.int64]
 
 
 def new_log(contacts: int, sweeps: int, capacity: int) -> VisitLog:
@@ -58,11 +68,12 @@ def new_log(contacts: int, sweeps: int, capacity: int) -> VisitLog:
     by_contact[:, LAST_REGIME] = UNSEEN
     return VisitLog(
         np.zeros((sweeps, len(BY_SWEEP)), dtype=np.int64),
+        np.zeros(sweeps),
         by_contact,
         np.zeros((capacity, WIDTH)),
         np.zeros((capacity, WIDTH)),
         np.zeros((RECENT, 3 * contacts)),
-        np.array([0, 0, 0, 1]),
+        np.array([0, 0, 0, SEED, 0]),
     )
 
 
@@ -71,66 +82,90 @@ def no_log() -> VisitLog:
     return new_log(0, 0, 0)
 
 
+def check_log(log: VisitLog, contacts: int) -> None:
+    """Raise `ValueError` unless `log` is an empty one for that many contacts."""
+    if len(log.by_contact) != contacts or log.state[SWEEPS]:
+        raise ValueError(
+            f"the log must be empty and for {contacts} contacts, not {len(log.by_contact)} contacts "
+            f"after {log.state[SWEEPS]} sweeps"
+        )
+
+
+def recent_impulses(log: VisitLog) -> NDArray[np.float64]:
+    """The impulses after each of the last sweeps, in the order of the run: (sweeps, 3n)."""
+    done = int(log.state[SWEEPS])
+    return log.recent[np.arange(max(0, done - RECENT), done) % RECENT]
+
+
 def samples(log: VisitLog) -> tuple[NDArray[np.void], NDArray[np.void]]:
     """The sampled visits, all and failed ones, as arrays of `VISIT`, in the order of the run."""
     found = []
-    for rows, seen in ((log.visits, log.state[1]), (log.failures, log.state[2])):
+    for rows, seen in ((log.visits, log.state[SEEN]), (log.failures, log.state[FAILED])):
         kept = np.ascontiguousarray(rows[: min(int(seen), len(rows))]).view(VISIT).reshape(-1)
         found.append(kept[np.lexsort((kept["contact"], kept["sweep"]))])
     return found[0], found[1]
 
 
-@jit
+@jit_inline
 def place(state: NDArray[np.int64], seen: int, capacity: int) -> int:
     """Where in a sample the next visit goes, given how many were seen; -1: nowhere."""
     if seen < capacity:
         return seen
-    state[3] = state[3] * 48271 % 2147483647  # [Park & Miller 1988]
-    slot = int(state[3] / 2147483647.0 * (seen + 1))
+    product = state[RANDOM] * 48271  # [Park & Miller 1988]; what follows is the rest of its division by PRIME
+    number = (product & PRIME) + (product >> 31)
+    state[RANDOM] = number - PRIME if number >= PRIME else number
+    slot = int(state[RANDOM] * (1.0 / PRIME) * (seen + 1))
     return slot if slot < capacity else -1
 
 
-@jit
-def store(row: NDArray[np.float64], head: Vector, tail: tuple[float, float], W: Matrix, b: Vector, mu: float,
-          old: Vector, new: Vector) -> None:  # fmt: skip
+@jit_inline
+def store(rows: NDArray[np.float64], at: int, head: Head, W: Matrix, b: Vector, mu: float, old: Vector,
+          new: Vector) -> None:  # fmt: skip
     """Write a visit in the layout of `VISIT`."""
-    row[0], row[1], row[2], row[3], row[4] = head[0], head[1], head[2], tail[0], tail[1]
+    for k in range(5):
+        rows[at, k] = head[k]
     for k in range(3):
-        row[5 + k], row[8 + k], row[11 + k] = W[0][k], W[1][k], W[2][k]
-        row[14 + k], row[18 + k], row[21 + k] = b[k], old[k], new[k]
-    row[17] = mu
+        rows[at, 5 + k], rows[at, 8 + k], rows[at, 11 + k] = W[0][k], W[1][k], W[2][k]
+        rows[at, 14 + k], rows[at, 18 + k], rows[at, 21 + k] = b[k], old[k], new[k]
+    rows[at, 17] = mu
 
 
-@jit
+@jit_inline
 def record(log: VisitLog, i: int, status: int, iterations: int, regime: int, W: Matrix, b: Vector, mu: float,
            old: Vector, new: Vector) -> None:  # fmt: skip
     """Record the visit of contact i."""
-    sweep, counts = log.state[0], log.by_contact[i]
-    failed, switched = status != 0, counts[LAST_REGIME] not in (UNSEEN, regime)
-    counts[status] += 1
-    counts[SWITCHES] += switched
-    counts[LAST_REGIME] = regime
+    sweep, last = log.state[SWEEPS], log.by_contact[i, LAST_REGIME]
+    failed, switched = status != CONVERGED, last != regime and last != UNSEEN
+    log.by_contact[i, status] += 1
+    log.by_contact[i, SWITCHES] += switched
+    log.by_contact[i, LAST_REGIME] = regime
     if sweep < len(log.by_sweep):
-        row = log.by_sweep[sweep]
-        row[regime] += 1
-        row[FAILURES] += failed
-        row[ITERATIONS] += iterations
-        row[CHANGES] += switched
-    for k in range(3):
-        log.recent[sweep % RECENT, 3 * i + k] = new[k]
-    head, tail = (float(sweep), float(i), float(status)), (float(iterations), float(regime))
-    slot = place(log.state, log.state[1], len(log.visits))
+        log.by_sweep[sweep, regime] += 1
+        log.by_sweep[sweep, FAILURES] += failed
+        log.by_sweep[sweep, ITERATIONS] += iterations
+        log.by_sweep[sweep, CHANGES] += switched
+    head = (float(sweep), float(i), float(status), float(iterations), float(regime))
+    slot = place(log.state, log.state[SEEN], len(log.visits))
+    log.state[SEEN] += 1
     if slot >= 0:
-        store(log.visits[slot], head, tail, W, b, mu, old, new)
-    log.state[1] += 1
+        store(log.visits, slot, head, W, b, mu, old, new)
     if failed:
-        slot = place(log.state, log.state[2], len(log.failures))
+        slot = place(log.state, log.state[FAILED], len(log.failures))
+        log.state[FAILED] += 1
         if slot >= 0:
-            store(log.failures[slot], head, tail, W, b, mu, old, new)
-        log.state[2] += 1
+            store(log.failures, slot, head, W, b, mu, old, new)
 
 
 @jit
-def end_sweep(log: VisitLog) -> None:
-    """The visits that follow belong to the next sweep."""
-    log.state[0] += 1
+def end_sweep(log: VisitLog, sigma: NDArray[np.float64], r: NDArray[np.float64]) -> None:
+    """Record the impulses after a sweep; the visits that follow belong to the next one."""
+    if len(log.by_contact) == 0:
+        return
+    sweep, total = log.state[SWEEPS], 0.0
+    for i in range(len(sigma)):
+        for k in range(3 * i, 3 * i + 3):
+            log.recent[sweep % RECENT, k] = r[k]
+            total += sigma[i] * r[k] * sigma[i] * r[k]
+    if sweep < len(log.size):
+        log.size[sweep] = math.sqrt(total / len(sigma))
+    log.state[SWEEPS] += 1

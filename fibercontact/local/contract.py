@@ -83,13 +83,15 @@ class LocalSolver:
     """A kernel with its declaration. `facets` says which law it solves, `exact` what a claim of it is worth.
 
     `facets` is a number (0: Coulomb's law), or the name of the option that holds it. With `exact=False` a visit is
-    a step towards the answer and `CONVERGED` no claim.
+    a step towards the answer and `CONVERGED` no claim. A solver with a fall-back may declare what it tries `first`,
+    as a kernel: it is asked again afterwards, to tell where the fall-back was used.
     """
 
     kernel: Any
     options: Mapping[str, Option] = field(default_factory=dict)
     facets: int | str = COULOMB
     exact: bool = True
+    first: Any = None
 
     def option_values(self, given: Mapping[str, float]) -> NDArray[np.float64]:
         """Option values in declared order; raises `ValueError` on a name that is not declared."""
