@@ -6,10 +6,19 @@ from pathlib import Path
 
 import pytest
 
-FOLDER = Path(__file__).parents[1] / "experiments"
+ROOT = Path(__file__).parents[1]
+FOLDER = ROOT / "experiments"
 SMALL = {
     "sweep_cost.py": ["--contacts", "60", "--repetitions", "1", "--solvers", "secular,pyramid"],
     "reference_methods.py": ["--problems", "6", "--max-contacts", "60", "--seconds", "0.5"],
+    "one_contact_failures.py": [
+        "--set",
+        ROOT / "problems" / "one_contact.h5",
+        "--sample",
+        "5",
+        "--out",
+        "evidence.csv",
+    ],
     "alart_curnier_steps.py": ["--problems", "20", "--out", "figure"],
 }
 

@@ -1,6 +1,7 @@
 """Local solvers: a table of solvers × a table of cases, and the mathematics they must obey."""
 
 import math
+from fractions import Fraction
 from functools import cache
 
 import numpy as np
@@ -16,6 +17,7 @@ from fibercontact.local.fischer_burmeister import modified_fischer_burmeister
 from fibercontact.local.newton import Contact
 from fibercontact.local.registry import configure, registered
 from fibercontact.local.slip_quartic import closed_roots, companion_roots, slip_quartic
+from fibercontact.local.slip_refinement import refine_slip
 
 NEWTON = ["pac", "dac", "mfb"]
 STEADY = ["enum-companion", "hybrid", "secular"]  # never fail on the condition numbers met here
@@ -452,6 +454,48 @@ def test_roots_of_special_quartics(roots):
         assert distance_of_sets(computed, np.array(wanted, dtype=complex)) <= 1e-3
     assert not roots((0.0, 1.0, 2.0, 3.0, 4.0))[0]
     assert not roots((math.nan, 1.0, 2.0, 3.0, 4.0))[0]
+
+
+@given(st.floats(-3, 3), st.floats(-3, 3), st.sampled_from([2, 3]))
+def test_closed_roots_bear_multiple_roots(a, b, multiplicity):
+    """The resolvent's root is multiple too: known to eps^(1/3), the quartic's by its square root then."""
+    assume(max(abs(a), abs(b)) > 1e-3)
+    wanted = [a] * multiplicity + [b, -b][: 4 - multiplicity]
+    found, computed = closed_roots(tuple(float(x) for x in np.poly(wanted)))
+    assert found
+    assert distance_of_sets(computed, wanted) <= 0.02 * max(np.abs(wanted))
+
+
+@given(SEEDS, st.floats(-8, -3))
+def test_a_slip_that_is_off_is_brought_back(seed, decades):
+    W, b, mu, _ = contact(seed, 1e3, (0.05, 1.0))
+    r = solve("secular", W, b, mu)[1]
+    u = W @ r + b
+    assume(np.linalg.norm(u[1:]) > 1e-2 * np.linalg.norm(b))
+    off = r * (1 + 10**decades * np.array([1.0, -1.0, 0.5]))
+    t = eliminate_normal(matrix(W), triple(b))
+    claimed, refined = refine_slip(matrix(W), triple(b), mu, t, triple(off))
+    assert claimed == pytest.approx(
+        residual("secular", W, b, mu, np.array(refined)) * np.linalg.norm(b), rel=0.1
+    )
+    assert claimed <= 1e-5 * residual("secular", W, b, mu, off) * np.linalg.norm(b) + 1e-11 * np.linalg.norm(
+        b
+    )
+
+
+@pytest.mark.parametrize("name", ["hybrid", "secular"])
+def test_an_answer_much_larger_than_b_is_found(name):
+    """`sigma r = 1e9 |b|`: the impulse lies along the weak axis of W, and rounding eats the elimination's digits."""
+    r, mu, condition = np.array([1.0, 0.3, -0.4]), 0.5, 2.0**30
+    projector = np.outer(r, r) / (r @ r)
+    W = np.eye(3) - (1 - 1 / condition) * projector
+    W = 0.5 * (W + W.T)
+    exact = np.array([[Fraction(x) for x in row] for row in W]) @ np.array([Fraction(x) for x in r])
+    b = np.array([0.0, -0.3, 0.4]) / condition - np.array([float(x) for x in exact])
+    status, answer = solve(name, W, b, mu)
+    assert status == Status.CONVERGED
+    assert residual(name, W, b, mu, answer) <= HONEST + 1e-15 * condition
+    np.testing.assert_allclose(answer, r, rtol=1e-5)
 
 
 @given(SEEDS)
