@@ -141,8 +141,8 @@ def test_the_edge_of_slip_and_take_off_is_approached_from_both_sides():
     assert ((size == 0) & (c.b[:, 0] == 0)).any()
 
 
-@pytest.mark.parametrize(("name", "multiplicity"), [("double root", 2), ("triple root", 3)])
-def test_roots_are_as_multiple_as_said(name, multiplicity):
+@pytest.mark.parametrize(("name", "multiplicity", "h"), [("double root", 2, 2e-3), ("triple root", 3, 1e-2)])
+def test_roots_are_as_multiple_as_said(name, multiplicity, h):
     """`phi(alpha (1 + h))` falls by `2^multiplicity` when h is halved, for the contacts without a gap."""
     c = family(name)
     for k in range(96):
@@ -154,7 +154,7 @@ def test_roots_are_as_multiple_as_said(name, multiplicity):
             x = oracles.slip_impulse(W, b, alpha * (1 + h))
             return np.linalg.norm(x[1:]) - mu * x[0]
 
-        ratios = [phi(2 * h) / phi(h) for h in (1e-2, -1e-2)]
+        ratios = [phi(2 * h) / phi(h) for h in (h, -h)]
         assert np.mean(ratios) == pytest.approx(2**multiplicity, rel=0.1)
 
 

@@ -112,8 +112,8 @@ def _replay(worker: Worker, path: Path, solver: Configured, seconds: float, lost
         return worker.ask("replay", (path, solver.label), seconds)
     except Hung:
         lost[solver.label] = "time"
-    except (Crashed, Refused) as fault:
-        lost[solver.label] = "crash" if isinstance(fault, Crashed) else str(fault)
+    except (Crashed, Refused):
+        lost[solver.label] = "crash"
     return NOTHING
 
 
