@@ -11,6 +11,7 @@ import oracles
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numba.core import config
 from scipy.sparse import csr_array, eye_array
 from typer.testing import CliRunner
 
@@ -239,6 +240,7 @@ def test_the_contact_that_changes_is_named_by_its_number():
     assert found.change.sweeps == pytest.approx((1.0 - 0.63) / 0.01)
 
 
+@pytest.mark.skipif(config.DISABLE_JIT, reason="a million visits")
 def test_a_change_of_regime_of_a_real_plateau_is_foretold():
     """Thousands of sweeps without one, then the contact that was named, about when it was said."""
     problem = find_problem("cylinder-straight-40-mu0.1-070")

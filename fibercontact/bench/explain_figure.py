@@ -52,8 +52,8 @@ def _sweep_axis(axes: Axes, facts: Facts) -> None:
 def _residual(axes: Axes, facts: Facts) -> None:
     record, about = facts.record, facts.record.about
     curves = [
-        _curve(axes, np.arange(len(a.history)), a.history, f"{a.solver}, {a.outer}", colour, 1.0)
-        for a, colour in zip(facts.attempts, (SKY, GREEN, PINK), strict=False)
+        _curve(axes, np.arange(len(a.history)), a.history, f"{a.solver}, {a.outer}", colour, 1.0, dashes)
+        for a, colour, dashes in zip(facts.attempts, (SKY, GREEN, PINK), ("-", "-", "--"), strict=False)
     ]
     mine = f"{about['solver']}, {about['outer']}"
     curves.append(_curve(axes, record.sweeps, record.residual, mine, BLACK, 1.8))
@@ -70,10 +70,12 @@ def _residual(axes: Axes, facts: Facts) -> None:
     axes.legend(fontsize=8)
 
 
-def _curve(axes: Axes, x: Array, y: Array, label: str, colour: str, width: float) -> Array:
+def _curve(axes: Axes, x: Array, y: Array, label: str, colour: str, width: float, dashes: str = "-") -> Array:
     """Draw what a logarithmic axis can show of a residual, and return it."""
     shown = np.isfinite(y) & (y > 0)
-    axes.plot(x[shown], y[shown], color=colour, linewidth=width, label=label, rasterized=len(x) > LONG)
+    axes.plot(
+        x[shown], y[shown], dashes, color=colour, linewidth=width, label=label, rasterized=len(x) > LONG
+    )
     return y[shown]
 
 

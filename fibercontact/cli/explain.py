@@ -66,10 +66,15 @@ def explain(
         facts = _facts(unit, log, plugin or [])
         typer.echo(title(facts))
         for subject, text in words(facts):
-            typer.echo(
-                textwrap.fill(text, WIDTH, initial_indent=f"{subject:<14}", subsequent_indent=14 * " ")
-            )
+            typer.echo(_paragraph(subject, text))
         typer.echo(f"figure        {_draw(facts, out)}")
+
+
+def _paragraph(subject: str, text: str) -> str:
+    """A text beside its subject; a number and its % stay together."""
+    whole = text.replace(" %", "\N{NO-BREAK SPACE}%")
+    lines = textwrap.fill(whole, WIDTH, initial_indent=f"{subject:<14}", subsequent_indent=14 * " ")
+    return lines.replace("\N{NO-BREAK SPACE}", " ")
 
 
 def _check_alone(context: typer.Context, log: Path | None) -> None:
