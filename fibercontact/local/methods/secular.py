@@ -126,6 +126,7 @@ def kernel(
         if abs(g) <= tolerance * limit or high - low <= 4e-16 * max(low, SINGULAR * t.trace):
             r = on_cone(slip_impulse(t, alpha), mu)
             sound = alpha > SHIFT * (t.trace + t.W_NN) or law_residual(W, b, mu, r) <= ACCEPTED * norm(b)
+            sound = sound and math.isfinite(r[0] + r[1] + r[2])
             return Status.CONVERGED if sound else Status.INACCURATE, r, k + 1
         if g > 0.0:
             low = alpha
