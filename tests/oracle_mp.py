@@ -235,12 +235,12 @@ def velocity(W, b, r):
 
 
 def project_cone(x, mu):
-    """The nearest point of `K_mu`: x itself, the tip, or a point of the ray `(1, mu d)` in the plane of x."""
+    """The nearest point of `K_mu`: the tip, x itself, or a point of the ray `(1, mu d)` in the plane of x."""
     size = length(x[1:])
-    if size <= mu * x[0]:
-        return x
     if mu * size <= -x[0]:
         return [MP.mpf(0)] * 3
+    if size <= mu * x[0]:
+        return x
     along = (x[0] + mu * size) / (1 + mu**2)
     return [along, *(mu * along * c / size for c in x[1:])]
 

@@ -130,10 +130,13 @@ def test_closed_form_of_isotropic_slip(name, mu, load, angle, speed, s):
     np.testing.assert_allclose(s * answer, s * expected, rtol=0, atol=HONEST * max(load, speed))
 
 
-@pytest.mark.parametrize("name", [*ALL, "pac:disc=1", "dac:disc=1", "pac:rho=0.3", "dac:rho=3"])
+@pytest.mark.parametrize("name", [*PYRAMIDS, "pac:disc=1", "dac:disc=1", "pac:rho=0.3", "dac:rho=3"])
 @given(SEEDS)
 def test_a_claim_of_convergence_is_true(name, seed):
-    """Whatever the condition number (up to 1e6) and the start, for friction up to 10: no lying."""
+    """Whatever the condition number (up to 1e6) and the start, for friction up to 10: no lying.
+
+    The exact solvers as they come are in test_local_theorems.
+    """
     W, b, mu, r = contact(seed, 1e6, (0.0, 10.0))
     status, answer = solve(name, W, b, mu, r)
     if status == Status.CONVERGED:
@@ -141,7 +144,7 @@ def test_a_claim_of_convergence_is_true(name, seed):
         assert answer[0] >= 0
 
 
-@pytest.mark.parametrize("name", [*STEADY, *PYRAMIDS])
+@pytest.mark.parametrize("name", ["enum-companion", *PYRAMIDS])
 @given(SEEDS)
 def test_steady_solvers_never_fail(name, seed):
     W, b, mu, r = contact(seed, 1e6, (0.0, 10.0))
@@ -163,36 +166,6 @@ def test_the_others_seldom_fail_on_kind_contacts(name):
     contacts = [contact(seed, 10.0, (0.0, 0.5)) for seed in range(150)]
     failures = sum(solve(name, *c)[0] != Status.CONVERGED for c in contacts)
     assert failures <= 3
-
-
-@pytest.mark.parametrize("name", EXACT)
-@given(SEEDS)
-def test_answers_are_among_those_of_a_dense_scan(name, seed):
-    W, b, mu, r = contact(seed, 100.0)
-    status, answer = solve(name, W, b, mu, r)
-    assume(status == Status.CONVERGED)
-    nearest = min(np.linalg.norm(W @ (answer - x)) for x in oracles.coulomb_solutions(W, b, mu))
-    if residual(name, W, b, mu, answer) > 1e-9 or nearest > 1e-4:  # a double root of phi: known to sqrt(eps)
-        nearest *= nearest
-    assert nearest <= 1e-5 * np.linalg.norm(b)
-
-
-@given(SEEDS)
-def test_the_scan_finds_lawful_answers(seed):
-    W, b, mu, _ = contact(seed, 100.0)
-    found = oracles.coulomb_solutions(W, b, mu)
-    assert found
-    assert all(oracles.local_residual(W, b, mu, x) <= 1e-9 * np.linalg.norm(b) for x in found)
-
-
-@pytest.mark.parametrize("name", EXACT)
-@given(SEEDS, st.floats(0, 2 * np.pi))
-def test_answers_turn_with_the_tangents(name, seed, angle):
-    W, b, mu, _ = contact(seed, 10.0, (0.0, 0.5))
-    Q = oracles.turned(angle)
-    (status, r), (turned_status, turned) = solve(name, W, b, mu), solve(name, Q @ W @ Q.T, Q @ b, mu)
-    assume(status == turned_status == Status.CONVERGED)
-    np.testing.assert_allclose(turned, Q @ r, rtol=0, atol=1e-4 * np.abs(r).max())
 
 
 @pytest.mark.parametrize("name", PYRAMIDS)

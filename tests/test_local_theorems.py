@@ -113,24 +113,25 @@ EDGE = np.array(
 PITFALLS = [
     (np.eye(3), np.array([-5e-324, 1.0, 0.0]), 1.0, np.zeros(3)),  # b_N/W_NN times anything is zero
     (np.eye(3), np.array([-1e-300, 1.0, 0.0]), 1e-6, np.zeros(3)),  # the bracket of alpha overflows
+    (np.eye(3), np.array([-1.0, 1.0, 0.0]), 1e-300, np.zeros(3)),  # 1/mu overflows
     (SLIVER, -SLIVER @ [1.0, 30.0, 50.0], 100.0, np.zeros(3)),  # Cramer's rule for stick
     (np.diag([1.0, 1e-8, 1.0]), np.array([-0.5, -0.6, 0.6]), 1.0, np.zeros(3)),  # the smaller root of MFB
     (EDGE, -EDGE @ impulse(1e-3 * (1 + 1e-15), 4.97660889628574), 1e-3, np.zeros(3)),  # alpha = 0 to rounding
 ]
 
 
-@pytest.mark.parametrize("name", EXACT)
 @given(contacts())
 @example(PITFALLS[0])
 @example(PITFALLS[1])
 @example(PITFALLS[2])
 @example(PITFALLS[3])
 @example(PITFALLS[4])
-def test_a_claim_is_true(name, contact):
+@example(PITFALLS[5])
+def test_a_claim_is_true(contact):
     """Honesty: what is claimed is finite and obeys the law, judged by 50 digits; for any SPD `W` to 1e14."""
-    for r in claims(contact, [name]).values():
-        assert np.isfinite(r).all()
-        assert precise_size(*contact[:3], r) <= worth(*contact[:3], r)
+    for name, r in claims(contact).items():
+        assert np.isfinite(r).all(), name
+        assert precise_size(*contact[:3], r) <= worth(*contact[:3], r), name
 
 
 @pytest.mark.skipif(
@@ -147,17 +148,18 @@ def test_no_doubles_break_a_solver(name, numbers, mu, start):
     assert status != Status.CONVERGED or np.isfinite([*numbers, mu, *r]).all()
 
 
-@pytest.mark.parametrize("name", ["hybrid", "secular"])
 @given(contacts(1e9, st.one_of(st.sampled_from([0.0, 1e-12, 1e-6, 1.0, 10.0]), st.floats(0, 10))))
 @example(PITFALLS[0])
 @example(PITFALLS[1])
-@example(PITFALLS[4])
-def test_a_solution_exists_and_is_found(name, contact):
+@example(PITFALLS[2])
+@example(PITFALLS[5])
+def test_a_solution_exists_and_is_found(contact):
     """Existence: for SPD `W` and mu >= 0 there is a solution [Acary, Cadoux, Lemaréchal & Malick 2011, ZAMM 91].
 
-    The two steady solvers find one from any start, for condition numbers to 1e10 and mu to 10.
+    The two steady solvers find one from any start, for condition numbers to 1e9 and mu to 10.
     """
-    assert solve(name, *contact)[0] == Status.CONVERGED
+    for name in ("hybrid", "secular"):
+        assert solve(name, *contact)[0] == Status.CONVERGED, name
 
 
 # ---- the clauses of the law, and what follows from them

@@ -133,6 +133,30 @@ def test_a_singular_or_asymmetric_W_is_refused(W):
         coulomb_solutions(W, (-1, 0, 0), 0.5)
 
 
+@pytest.mark.parametrize("mu", [0.0, 0.5, 2.0])
+@pytest.mark.parametrize("sigma", [0.25, 1.0, 8.0])
+def test_the_natural_map_vanishes_at_solutions_and_nowhere_else(mu, sigma):
+    """`W = sigma I`; the size at the others by hand: an impulse or a velocity that ought not to be there."""
+    W, r = sigma * np.eye(3), np.array([2.0, 1.2 * mu, -1.6 * mu])
+    lawful = [
+        ((0, 0, 0), r),
+        ((0, -3, 4), r),
+        ((0, 0, 0), r * [1, 0.5, 0.5]),
+        ((1, 2, 3), 0 * r),
+        ((0, 2, 3), 0 * r),
+    ]
+    for u, impulse in lawful:
+        if mu > 0 or u[0] == 0 or not impulse.any():
+            assert residual(W, u - W @ impulse, mu, impulse) <= 1e-15
+    for u, impulse, size in [
+        ((-1, 0, 0), 0 * r, 1.0),
+        ((0.1, 0, 0), r * [1, 0, 0], 0.1),
+        ((0, 0, 0), -r * [1, 0, 0], 2 * sigma),
+    ]:
+        b = u - W @ impulse
+        assert float(residual(W, b, mu, impulse) * oracle_mp.length(b)) == pytest.approx(size)
+
+
 # ---- theorems
 
 

@@ -39,6 +39,8 @@ SHIFT = 1e-9
 """What replaces that eigenvalue, relative to the same trace."""
 GRAZING = 1e-16
 """Approach speed, relative to the tangential one, that is nothing but rounding: the contact is open."""
+FRICTIONLESS = 1e-30
+"""Friction coefficient below which the tangential impulse is nothing but rounding."""
 LEFT_OVER = 1e-7
 """Sliding speed, relative to b, that the shift may leave in stick."""
 
@@ -189,7 +191,7 @@ def open_or_stick(t: Tangential, b: Vector, mu: float) -> tuple[int, Vector]:
     """
     if b[0] >= -GRAZING * (abs(b[1]) + abs(b[2])):
         return OPEN, (0.0, 0.0, 0.0)
-    if mu <= 0.0:
+    if mu <= FRICTIONLESS:
         return STICK, (-b[0] / t.W_NN, 0.0, 0.0)
     stops, r = stick_impulse(t, b)
     if stops and math.sqrt(r[1] * r[1] + r[2] * r[2]) <= mu * r[0] < math.inf:

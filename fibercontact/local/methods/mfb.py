@@ -28,7 +28,7 @@ def kernel(
     if not is_finite(W, b, mu):
         return Status.NOT_FINITE, r, 0
     if mu <= 0.0:
-        return Status.CONVERGED, (max(0.0, -b[0] / W[0][0]), 0.0, 0.0), 0
+        return Status.CONVERGED, (-b[0] / W[0][0] if b[0] < 0.0 else 0.0, 0.0, 0.0), 0
     return mfb(W, b, mu, r, options)
 
 
