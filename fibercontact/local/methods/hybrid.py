@@ -67,28 +67,34 @@ def enumerate_slip(
 
 
 @jit
+def kernel(
+    W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]
+) -> tuple[int, Vector, int]:
+    """Solve one contact; see the module's docstring."""
+    if not is_finite(W, b, mu):
+        return Status.NOT_FINITE, r, 0
+    t = eliminate_normal(W, b)
+    regime, simple = open_or_stick(t, b, mu)
+    if regime != SLIP:
+        return Status.CONVERGED, simple, 0
+    status, slip, iterations = mfb(W, b, mu, r, options)
+    if status == Status.CONVERGED:
+        return status, slip, iterations
+    status, slip, more = enumerate_slip(W, b, mu, t, slip, options)
+    return status, slip, iterations + more
+
+
+@jit
 def first(
     W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]
 ) -> tuple[int, Vector, int]:
-    """Steps (1) and (2): what is tried before the fail-safe."""
+    """Steps (1) and (2) of the kernel alone: where they fail, it goes on to (3)."""
     if not is_finite(W, b, mu):
         return Status.NOT_FINITE, r, 0
     regime, simple = open_or_stick(eliminate_normal(W, b), b, mu)
     if regime != SLIP:
         return Status.CONVERGED, simple, 0
     return mfb(W, b, mu, r, options)
-
-
-@jit
-def kernel(
-    W: Matrix, b: Vector, mu: float, r: Vector, options: NDArray[np.float64]
-) -> tuple[int, Vector, int]:
-    """Solve one contact; see the module's docstring."""
-    status, r, iterations = first(W, b, mu, r, options)
-    if status == Status.CONVERGED or not is_finite(W, b, mu):
-        return status, r, iterations
-    status, r, more = enumerate_slip(W, b, mu, eliminate_normal(W, b), r, options)
-    return status, r, iterations + more
 
 
 solver = LocalSolver(
