@@ -112,10 +112,10 @@ EDGE = np.array(
 )
 PITFALLS = [
     (np.eye(3), np.array([-5e-324, 1.0, 0.0]), 1.0, np.zeros(3)),  # b_N/W_NN times anything is zero
-    (np.eye(3), np.array([-1e-300, 1.0, 0.0]), 1e-6, np.zeros(3)),  # the bracket of alpha overflows
-    (np.eye(3), np.array([-1.0, 1.0, 0.0]), 1e-300, np.zeros(3)),  # 1/mu overflows
+    (np.eye(3), np.array([-1e-305, 1.0, 0.0]), 1e-6, np.zeros(3)),  # the bracket of alpha overflows
+    (np.diag([1e-3, 1.0, 1.0]), np.array([-10.0, 0.0, 10.0]), 2.2e-311, np.zeros(3)),  # 1/mu overflows
     (SLIVER, -SLIVER @ [1.0, 30.0, 50.0], 100.0, np.zeros(3)),  # Cramer's rule for stick
-    (np.diag([1.0, 1e-8, 1.0]), np.array([-0.5, -0.6, 0.6]), 1.0, np.zeros(3)),  # the smaller root of MFB
+    (np.diag([1e-7, 1.0, 1e-7]), np.array([-0.97, -0.02, 0.97]), 0.5, np.zeros(3)),  # the smaller root of MFB
     (EDGE, -EDGE @ impulse(1e-3 * (1 + 1e-15), 4.97660889628574), 1e-3, np.zeros(3)),  # alpha = 0 to rounding
 ]
 

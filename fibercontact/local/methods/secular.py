@@ -95,7 +95,8 @@ def newton_step(p: Polynomials, alpha: float) -> tuple[float, float, float]:
     g = size + m
     P = m * q * g
     N = (p.m1 + 2.0 * alpha * p.m2) * size * q + (p.q1 + alpha * p.q2) * m * m
-    return g, -m, alpha - D * P / ((p.trace + 2.0 * alpha) * P - N * D)
+    slope = (p.trace + 2.0 * alpha) * P - N * D
+    return g, -m, alpha - D * P / slope if slope != 0.0 else 0.0
 
 
 @jit
