@@ -3,7 +3,6 @@
 from fractions import Fraction
 from itertools import pairwise
 
-import mpmath
 import numpy as np
 import oracle_mp
 import oracles
@@ -14,7 +13,7 @@ from oracle_mp import coulomb_solutions, positive_roots, residual
 
 SEEDS = st.integers(0, 2**32 - 1)
 FEW_DIGITS = st.integers(-64, 64).map(lambda k: k / 8)
-DIGITS = mpmath.mpf(10) ** -40
+DIGITS = 1e-40
 
 # In the plane of N and T1, where mu |W_TN| > W_NN: pressing harder against friction pushes the contact apart.
 JAMMING = [[1, 2, 0], [2, 5, 0], [0, 0, 1]]

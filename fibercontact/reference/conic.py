@@ -11,7 +11,7 @@ References: [Cadoux 2009]; [Acary, Cadoux, Lemaréchal & Malick 2011] ZAMM 91.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -35,11 +35,23 @@ __all__ = [
     "impulse_form",
     "sharp_form",
     "solve_convex",
+    "tight_form",
     "velocity_form",
 ]
 
 Array = NDArray[np.float64]
 Problem = IncrementalProblem | StepProblem
+
+
+DEFAULT = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-12)
+TIGHT = dict.fromkeys(DEFAULT, 1e-13)
+SHARP = TIGHT | {
+    "static_regularization_constant": 1e-12,
+    "iterative_refinement_max_iter": 50,
+    "iterative_refinement_reltol": 1e-15,
+    "iterative_refinement_abstol": 1e-15,
+}
+"""Clarabel's settings. Tighter ones get further on some problems and stop early on others."""
 
 
 class Program(NamedTuple):
@@ -73,8 +85,10 @@ class ConvexModel:
     docstring.
     """
 
-    def __init__(self, program: Program, mu: Array, S: Array, beta: float, sharp: bool = False) -> None:
-        self.program, self.mu, self.S, self.beta, self.sharp = program, mu, S, beta, sharp
+    def __init__(
+        self, program: Program, mu: Array, S: Array, beta: float, settings: Mapping[str, float] = DEFAULT
+    ) -> None:
+        self.program, self.mu, self.S, self.beta, self.settings = program, mu, S, beta, settings
         self.solver: Any = None
 
     def solve(self, s: Array, max_seconds: float = math.inf) -> ConvexAnswer:
@@ -93,9 +107,9 @@ class ConvexModel:
         if self.solver is None:
             cones = [clarabel.SecondOrderConeT(3)] * len(self.mu)
             P, A = csc_matrix(triu(p.P)), csc_matrix(-p.A)
-            self.solver = clarabel.DefaultSolver(P, q, A, h, cones, _settings(max_seconds, self.sharp))
+            self.solver = clarabel.DefaultSolver(P, q, A, h, cones, _settings(max_seconds, self.settings))
         else:
-            self.solver.update(q=q, b=h, settings=_settings(max_seconds, self.sharp))
+            self.solver.update(q=q, b=h, settings=_settings(max_seconds, self.settings))
         found = self.solver.solve()
         z = np.array(found.x if p.impulse else found.z)
         gap = self.beta**2 * abs(found.obj_val - found.obj_val_dual)
@@ -137,7 +151,13 @@ def sharp_form(problem: Problem) -> ConvexModel:
     further on such problems, and stops early on some others.
     """
     form = impulse_form(problem)
-    return ConvexModel(form.program, form.mu, form.S, form.beta, sharp=True)
+    return ConvexModel(form.program, form.mu, form.S, form.beta, SHARP)
+
+
+def tight_form(problem: Problem) -> ConvexModel:
+    """The default form, asked for a digit more."""
+    form = default_form(problem)
+    return ConvexModel(form.program, form.mu, form.S, form.beta, TIGHT)
 
 
 def default_form(problem: Problem) -> ConvexModel:
@@ -163,7 +183,7 @@ def associated(problem: Problem, bar: float = 1e-10) -> ConvexAnswer:
     """
     incremental, none = condensed(problem), np.zeros(problem.n)
     answers = [solve_convex(problem, none)]
-    for form in (impulse_form, sharp_form):
+    for form in (impulse_form, tight_form, sharp_form):
         if duality_gap(incremental, answers[-1].r) > bar:
             answers.append(solve_convex(problem, none, form))
     return min(answers, key=lambda answer: duality_gap(incremental, answer.r))
@@ -191,15 +211,12 @@ def _scaling(problem: IncrementalProblem) -> tuple[Array, float]:
     return to_unit_sigma * friction, float(beta) or 1.0
 
 
-def _settings(max_seconds: float, sharp: bool) -> Any:
+def _settings(max_seconds: float, special: Mapping[str, float]) -> Any:
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.presolve_enable = False  # it forbids updates
     settings.max_threads = 1
     settings.time_limit = max_seconds
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-13
-    if sharp:
-        settings.static_regularization_constant = 1e-12
-        settings.iterative_refinement_max_iter = 50
-        settings.iterative_refinement_reltol = settings.iterative_refinement_abstol = 1e-15
+    for name, value in special.items():
+        setattr(settings, name, value)
     return settings
