@@ -37,7 +37,7 @@ __all__ = ["RUNNERS", "harvest"]
 RUNNERS = ("secular", "pac")
 TOLERANCE = 1e-4
 SWEEPS = 1000
-LOOKED_AT = 500_000
+LOOKED_AT = 200_000
 UNIFORM = 40
 KEPT = 200
 SLOW = 20
@@ -52,7 +52,7 @@ def harvest(
 ) -> tuple[OneContacts, dict[str, int]]:
     """The one-contact set of a set of problems, and its counts; the same for the same problems.
 
-    The listener hears what is done. Takes about a second a problem. Raises `ProblemError` when a file cannot be read.
+    The listener hears what is done. Takes seconds a problem. Raises `ProblemError` when a file cannot be read.
     """
     runners = {name: configure(name, registered()) for name in RUNNERS}
     counts: Counter[str] = Counter()

@@ -73,23 +73,21 @@ def measure(plan: Plan, listener: Callable[[str], None]) -> Measured:
     if plan.contacts.m == 0:
         raise BenchError("there is no contact in the set")
     answers: list[pd.DataFrame] = []
-    times, before = [], load()
+    times: list[tuple[str, str, float]] = []
+    before = load()
     with _worker(plan) as worker, tempfile.TemporaryDirectory() as folder:
         for kind, contacts in batches(plan.contacts).items():
             path = Path(folder, f"{len(answers)}.h5")
             write(path, contacts)
             lost: dict[str, str] = {}
-            for solver in plan.solvers:
-                listener(f"{kind} {solver.label}")
-                replay = _replay(worker, path, solver, plan.seconds, lost)
-                answers.append(_answers(kind, contacts, solver, replay, lost.get(solver.label, "")))
-            for _ in range(plan.repetitions):
+            for repetition in range(1 + plan.repetitions):
                 for solver in plan.solvers:
                     listener(f"{kind} {solver.label}")
-                    if solver.label not in lost:
-                        replay = _replay(worker, path, solver, plan.seconds, lost)
-                        ns = 1e9 * replay.seconds / contacts.m
-                        times.append({"kind": kind, "solver": solver.label, "ns": ns})
+                    replay = _replay(worker, path, solver, plan.seconds, lost)
+                    if repetition == 0:
+                        answers.append(_answers(kind, contacts, solver, replay, lost.get(solver.label, "")))
+                    elif solver.label not in lost:
+                        times.append((kind, solver.label, 1e9 * replay.seconds / contacts.m))
     frame = pd.DataFrame(times, columns=["kind", "solver", "ns"])
     return Measured(pd.concat(answers, ignore_index=True), frame, before)
 
@@ -107,7 +105,9 @@ def _worker(plan: Plan) -> Iterator[Worker]:
 
 
 def _replay(worker: Worker, path: Path, solver: Configured, seconds: float, lost: dict[str, str]) -> Replay:
-    """A replay in the worker; one that does not come back is `lost`, with its reason."""
+    """A replay in the worker; one that does not come back is `lost`, with its reason, and not tried again."""
+    if solver.label in lost:
+        return NOTHING
     try:
         return worker.ask("replay", (path, solver.label), seconds)
     except Hung:

@@ -56,7 +56,7 @@ def harvest(
     """Take one-contact problems from inside Gauss–Seidel runs over a set, for `table --level 1`.
 
     Keeps a random sample of the visits, those that are hard for some local solver, and adds the synthetic hard set.
-    The same file comes out of the same problems. Takes about a second a problem.
+    The same file comes out of the same problems. Takes a quarter of an hour for core306.
 
     Example: fibercontact harvest core306 --out problems/one_contact.h5
     """
