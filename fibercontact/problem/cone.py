@@ -113,7 +113,7 @@ def smaller_root(x: Vector, y: Vector, head: float, tail: float) -> float:
 
     `head² - tail²`, the product of the spectral values of `x∘x + y∘y`, is a sum of squares.
     """
-    if head - tail > 1e-3 * head:
+    if head - tail > 1e-6 * head:
         return math.sqrt(head - tail)
     s = 1.0 / math.sqrt(head + tail)
     a = s * (x[0] * x[0] - x[1] * x[1] - x[2] * x[2])
