@@ -41,6 +41,16 @@ class ConstrainedStep:
         """Friction coefficients (n,)."""
         return self.step.mu
 
+    @property
+    def H(self) -> csr_array:
+        """Contact Jacobian (3n, d)."""
+        return self.step.H
+
+    @property
+    def w(self) -> F64:
+        """Velocity (3n,) in m/s that does not come from the dofs."""
+        return self.step.w
+
     def condense(self) -> IncrementalProblem:
         """Eliminate multipliers and velocities, exactly; raises `ProblemError` as `condense_constrained`."""
         return condense_constrained(self.step, self.G, self.c)

@@ -18,7 +18,9 @@ negative eigenvalues, and edges under pressure their negative transverse stiffne
 
 Inextensible edges obey `|e_j| = const` in place of springs. Their linear form about the iterate,
 `Gᵀ v + c = 0`, joins each system, `M v + f = Hᵀ r + G lambda`, and the tensions lambda of the last iteration
-enter M. Each iteration thus starts from the true lengths: they converge quadratically, and do not drift.
+enter M: this is Newton's method, which starts from the true lengths at each iteration, so that they do not
+drift. Without springs M would never be definite (a bent rod's energy falls when its edges grow), so
+`sigma G (Gᵀ v + c)`, which is zero, is added to the left-hand side, sigma being what the springs' would be.
 """
 
 from dataclasses import dataclass, replace
@@ -127,7 +129,7 @@ class ImplicitStep:
         at = frames(self.now)
         slopes = derivatives(self.law, self.now, at)
         if self.rods.inextensible:
-            slopes = slopes._replace(transverse=self.tension / at.length)
+            slopes = self._augmented(slopes, at)
         M, factor = _definite_matrix(self.rods, slopes, at.tangent, self.dt)
         known = self.rods.prescribed
         residual = self._residual(slopes, at.tangent)[:, known:]
@@ -168,6 +170,12 @@ class ImplicitStep:
         inertia, change = self.rods.inertia, now.v - self.before.v
         kinetic = np.sum(inertia * change**2, axis=1) / 2
         return np.asarray(kinetic + law_energy(self.law, now) - _weight(self.rods, now, self.gravity))
+
+    def _augmented(self, slopes: Derivatives, at: Frames) -> Derivatives:
+        """Add the tensions of inextensible edges, and springs that the constraints make idle."""
+        spring = self.rods.stretching[:, None] / self.law.natural
+        tension = spring * (at.length - self.law.natural)
+        return slopes._replace(tension=tension, axial=spring, transverse=self.tension / at.length)
 
     def _at(self, change: Array) -> DiscreteState:
         return displaced(self.now, self.dt * change)._replace(v=self.now.v + change)
