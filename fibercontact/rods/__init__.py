@@ -1,5 +1,13 @@
-"""Rods: kinematics from curvatures, dynamics, the linearly implicit step."""
+"""Rods: from curvatures or in maximal coordinates; kinematics, dynamics, implicit steps."""
 
+from fibercontact.rods.discrete_model import (
+    DiscreteRods,
+    DiscreteState,
+    discrete_rods,
+    discrete_state,
+    discretise,
+)
+from fibercontact.rods.discrete_step import discrete_energy, discrete_points, implicit_step
 from fibercontact.rods.dynamics import (
     Energy,
     advance,
@@ -13,6 +21,8 @@ from fibercontact.rods.kinematics import Points, centreline, point_jacobian, pre
 from fibercontact.rods.model import Rods, RootMotion, State, circular_rods, dofs, rest_state, still
 
 __all__ = [
+    "DiscreteRods",
+    "DiscreteState",
     "Energy",
     "Points",
     "Rods",
@@ -21,9 +31,15 @@ __all__ = [
     "advance",
     "centreline",
     "circular_rods",
+    "discrete_energy",
+    "discrete_points",
+    "discrete_rods",
+    "discrete_state",
+    "discretise",
     "dofs",
     "energy",
     "generalised_force",
+    "implicit_step",
     "inertia_matrix",
     "point_jacobian",
     "prescribed_velocity",

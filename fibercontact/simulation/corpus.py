@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from fibercontact.problem.fclib import Solution, write
+from fibercontact.problem.step import StepProblem
+from fibercontact.rods.interface import rod_model
 from fibercontact.simulation.scene import Scene
 from fibercontact.simulation.scenes import SCENES, SceneError, build
 from fibercontact.simulation.step import Step, simulate
@@ -98,10 +100,10 @@ def _write_step(scene: Scene, step: Step, folder: Path) -> Row:
     file = folder / f"{scene.name}-{step.index:03d}.hdf5"
     write(
         file,
-        problem,
+        problem if isinstance(problem, StepProblem) else problem.condense(),
         title=f"{scene.name}, step {step.index}",
         description=f"{scene.description} Step of {scene.dt:g} s; the guess is the impulse of the step before.",
-        math_info="Super-Helix fibres, one block of M a fibre",
+        math_info=rod_model(scene.rods).title,
         guesses=[Solution(r=step.guess)],
     )
     content = file.read_bytes()

@@ -11,7 +11,7 @@ from matplotlib.patches import Circle, Polygon
 from numpy.typing import NDArray
 
 from fibercontact.contact.obstacles import Cylinder, Obstacle, Sphere
-from fibercontact.rods.kinematics import centreline
+from fibercontact.rods.interface import rod_model
 from fibercontact.simulation.scene import Scene
 from fibercontact.simulation.step import Step
 
@@ -27,7 +27,7 @@ def draw(scene: Scene, step: Step, file: Path) -> None:
     """Draw the world after a step into `file` (PNG or SVG by its suffix), in orthographic projection."""
     figure = Figure(figsize=(7, 6.2), dpi=150, layout="constrained")
     axes = figure.add_subplot()
-    vertices = centreline(scene.rods, step.world.state, POINTS)
+    vertices = rod_model(scene.rods).centreline(step.world.state, POINTS)
     plane, depth = _project(vertices.reshape(-1, 3))
     plane, depth = plane.reshape(*vertices.shape[:2], 2), depth.reshape(vertices.shape[:2])
     for body in step.world.bodies:
@@ -37,7 +37,7 @@ def draw(scene: Scene, step: Step, file: Path) -> None:
     nearness = (0.5 * (depth[:, :-1] + depth[:, 1:])).ravel()
     span = max(float(np.ptp(nearness)), 1e-12)
     order = np.argsort(nearness)
-    hue = np.repeat(np.linspace(0.15, 0.85, len(vertices)), POINTS)
+    hue = np.repeat(np.linspace(0.15, 0.85, len(vertices)), vertices.shape[1] - 1)
     colours = matplotlib.colormaps["copper"](hue)
     colours[:, :3] *= (0.55 + 0.45 * (nearness - nearness.min()) / span)[:, None]
     width = 1.3 if len(vertices) < 100 else 0.9

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from fibercontact.rods.dynamics import energy
+from fibercontact.rods.interface import rod_model
 from fibercontact.simulation.picture import draw
 from fibercontact.simulation.scene import Scene
 from fibercontact.simulation.step import Step
@@ -23,7 +23,7 @@ class Recorder:
 
     def add(self, step: Step) -> None:
         """Add the row of a step: times in s, energies in J, the deepest overlap in m."""
-        e = energy(self.scene.rods, step.world.state, self.scene.gravity(step.world.time))
+        e = rod_model(self.scene.rods).energy(step.world.state, self.scene.gravity(step.world.time))
         run = step.run
         self.rows.append(
             {

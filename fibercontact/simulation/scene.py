@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fibercontact.contact.obstacles import Obstacle
-from fibercontact.rods.model import Rods, State
+from fibercontact.rods.interface import AnyRods, AnyState
 
 __all__ = ["STILL", "Body", "Motion", "Scene", "earth"]
 
@@ -45,13 +45,14 @@ class Scene:
 
     `carrier` (R,) is the body that each clamped root is fixed to. `gravity` is a function of time. Contacts
     between fibres have the friction `mu_fibres`, those with obstacles `mu_obstacles`. The polylines of contact
-    detection have `segments` segments, `margin` and `skip_root` are those of `contact.detect`.
+    detection have `segments` segments, or are the edges of discrete rods; `margin` and `skip_root` are those
+    of `contact.detect`.
     """
 
     name: str
     description: str
-    rods: Rods
-    state: State
+    rods: AnyRods
+    state: AnyState
     bodies: Sequence[Body]
     carrier: NDArray[np.int64]
     dt: float

@@ -7,7 +7,7 @@ strands of 0.5 mm radius as heavy for their stiffness as long hair is: the dimen
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,12 @@ from scipy.spatial.transform import Rotation
 
 from fibercontact.contact.obstacles import Cylinder, Plane, Sphere
 from fibercontact.errors import UserError
+from fibercontact.rods.discrete_model import discrete_state, discretise
+from fibercontact.rods.interface import AnyRods, AnyState
 from fibercontact.rods.model import Rods, circular_rods, rest_state
 from fibercontact.simulation.scene import Body, Motion, Scene, earth
 
-__all__ = ["KINDS", "SCENES", "Parameters", "SceneError", "build"]
+__all__ = ["KINDS", "MODELS", "SCENES", "Parameters", "SceneError", "build"]
 
 Array = NDArray[np.float64]
 
@@ -26,6 +28,8 @@ RADIUS = 0.5e-3  # m
 YOUNG = 3e7  # Pa
 DENSITY = 1000.0  # kg/m³
 DAMPING = 0.02  # s
+EDGES = 20  # of discrete rods
+MODELS = ("helix", "discrete")
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
@@ -43,6 +47,7 @@ class Parameters:
     mu: float  # between fibres
     mu_obstacles: float
     seed: int
+    model: str = "helix"  # of the rods, see MODELS
 
 
 def _rest_curvature(curl: str, fibres: int, elements: int, rng: np.random.Generator) -> Array:
@@ -211,11 +216,12 @@ def _scene(
     gravity: Callable[[float], Array] = earth,
     skip_root: float = 2e-3,
 ) -> Scene:
+    modelled, state = _straight(p.model, rods, roots, frames)
     return Scene(
         name=_name(p),
         description=(kind.__doc__ or "").strip(),
-        rods=rods,
-        state=rest_state(rods, roots, frames)._replace(q=np.zeros_like(rods.q_rest)),
+        rods=modelled,
+        state=state,
         bodies=bodies,
         carrier=np.zeros(p.fibres, dtype=np.int64),
         dt=dt,
@@ -227,8 +233,17 @@ def _scene(
     )
 
 
+def _straight(model: str, rods: Rods, roots: Array, frames: Array) -> tuple[AnyRods, AnyState]:
+    """The rods as a model has them, straight and at rest."""
+    if model == "discrete":
+        discrete = discretise(rods, EDGES)
+        return discrete, discrete_state(discrete, roots, frames, curvature=0.0)
+    return rods, rest_state(rods, roots, frames)._replace(q=np.zeros_like(rods.q_rest))
+
+
 def _name(p: Parameters) -> str:
-    return f"{p.kind}-{p.curl}-{p.fibres}-mu{p.mu:g}"
+    suffix = "" if p.model == "helix" else f"@{p.model}"
+    return f"{p.kind}-{p.curl}-{p.fibres}-mu{p.mu:g}{suffix}"
 
 
 KINDS: Mapping[str, Callable[[Parameters, np.random.Generator], Scene]] = {
@@ -261,11 +276,17 @@ SCENES: Mapping[str, Parameters] = {_name(p): p for p in _RUNS}
 
 
 def build(scene: str | Parameters) -> Scene:
-    """Build a scene by its name or from parameters; raises `SceneError` listing what is known."""
+    """Build a scene from parameters or by its name; `NAME@discrete` is the same scene with discrete rods.
+
+    Raises `SceneError` listing what is known.
+    """
     if isinstance(scene, str):
-        if scene not in SCENES:
-            raise SceneError(f"unknown scene {scene!r} (known: {', '.join(SCENES)})")
-        scene = SCENES[scene]
+        name, _, model = scene.partition("@")
+        if name not in SCENES:
+            raise SceneError(f"unknown scene {name!r} (known: {', '.join(SCENES)})")
+        scene = replace(SCENES[name], model=model or "helix")
+    if scene.model not in MODELS:
+        raise SceneError(f"unknown rod model {scene.model!r} (known: {', '.join(MODELS)})")
     if scene.kind not in KINDS:
         raise SceneError(f"unknown kind of scene {scene.kind!r} (known: {', '.join(KINDS)})")
     if scene.fibres < 2:

@@ -3,10 +3,10 @@
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import bsr_array, csr_array
 from scipy.spatial import KDTree
 
 from fibercontact.contact.assemble import ContactSystem, assemble, obstacle_drift
@@ -16,10 +16,10 @@ from fibercontact.errors import UserError
 from fibercontact.gauss_seidel.anderson import Acceleration
 from fibercontact.gauss_seidel.solver import GaussSeidel, Run
 from fibercontact.local.registry import configure, registered
+from fibercontact.problem.constrained import ConstrainedStep
 from fibercontact.problem.step import StepProblem
-from fibercontact.rods.dynamics import advance, step_system
-from fibercontact.rods.kinematics import centreline, point_jacobian, prescribed_velocity
-from fibercontact.rods.model import RootMotion, State
+from fibercontact.rods.interface import AnyState, RodModel, RodStep, System, rod_model
+from fibercontact.rods.model import RootMotion
 from fibercontact.simulation.scene import Body, Motion, Scene
 
 __all__ = ["SimulationError", "Step", "World", "simulate", "start"]
@@ -36,7 +36,7 @@ class World:
     """The state of a scene at a time: rods, bodies, and the contact impulses of the step that led to it."""
 
     time: float
-    state: State
+    state: AnyState
     bodies: tuple[Body, ...]
     contacts: Contacts | None = None
     impulses: Array | None = None  # (n, 3) N·s, world axes, on A
@@ -44,12 +44,16 @@ class World:
 
 @dataclass(frozen=True)
 class Step:
-    """One step: the problem it posed (None without contact), the guess it started from, and its answer."""
+    """One step: the problem it posed (None without contact), the guess it started from, and its answer.
+
+    When rods take more than one system a step, these are of the last one; its guess is the impulse of the one
+    before.
+    """
 
     index: int
     world: World  # at the end of the step
     contacts: Contacts
-    problem: StepProblem | None
+    problem: StepProblem | ConstrainedStep | None
     guess: Array  # (3n,)
     run: Run | None
     seconds: float
@@ -82,42 +86,88 @@ def take_step(scene: Scene, solver: GaussSeidel, world: World, index: int) -> St
     end = world.time + scene.dt
     motions = [body.motion(end) for body in world.bodies]
     obstacles = _moving_obstacles(world.bodies, motions)
-    roots = _root_motion(scene, world, motions)
-    M, f = step_system(scene.rods, world.state, roots, scene.gravity(end), scene.dt)
-    if not (np.isfinite(M).all() and np.isfinite(f).all()):
-        raise SimulationError(f"{scene.name}: the motion blew up at {world.time:g} s; take a smaller dt")
+    rods = rod_model(scene.rods)
+    rod_step = rods.begin(world.state, _root_motion(scene, world, motions), scene.gravity(end), scene.dt)
+    _check_finite(scene, world, rod_step)
     contacts = detect(
-        centreline(scene.rods, world.state, scene.segments), scene.rods.length, scene.rods.radius,
-        margin=scene.margin, skip_root=scene.skip_root, obstacles=obstacles,
+        rods.centreline(world.state, scene.segments), scene.rods.length, scene.rods.radius,
+        margin=scene.margin, skip_root=max(scene.skip_root, rods.held_length), obstacles=obstacles,
     )  # fmt: skip
     if len(contacts.gap) == 0:
-        v = np.asarray(np.linalg.solve(M, -f[:, :, None])[:, :, 0], dtype=np.float64)
-        nothing = np.zeros(0)
-        moved = _moved(scene, world, v, roots, motions, contacts, np.zeros((0, 3)))
-        return Step(index, moved, contacts, None, nothing, None, time.perf_counter() - began)
-    system = _contact_system(scene, world.state, contacts, obstacles, roots)
-    mu = np.where(contacts.obstacle < 0, scene.mu_fibres, scene.mu_obstacles).astype(float)
-    problem = StepProblem(_block_diagonal(M), f.ravel(), system.H, system.w, mu)
-    guess = _guess(world, contacts, system.frames)
-    run = solver.solve(problem.condense(), guess)
-    v = problem.velocities(run.r).reshape(f.shape)
-    impulses = np.einsum("nji,nj->ni", system.frames, run.r.reshape(-1, 3))
-    moved = _moved(scene, world, v, roots, motions, contacts, impulses)
-    return Step(index, moved, contacts, problem, guess, run, time.perf_counter() - began)
+        rod_step = _without_contact(scene, world, rods, rod_step)
+        answer = _Answer(rod_step, None, np.zeros(0), None, np.zeros((0, 3)))
+    else:
+        answer = _with_contact(scene, solver, world, rods, rod_step, contacts, obstacles)
+    state, bodies = answer.rod_step.end(), _moved(scene, world, motions)
+    moved = World(end, state, bodies, contacts, answer.impulses)
+    seconds = time.perf_counter() - began
+    return Step(index, moved, contacts, answer.problem, answer.guess, answer.run, seconds)
 
 
-def _moved(
+class _Answer(NamedTuple):
+    """Where the rods go in a step, and the last problem on their way."""
+
+    rod_step: RodStep
+    problem: StepProblem | ConstrainedStep | None
+    guess: Array  # (3n,)
+    run: Run | None
+    impulses: Array  # (n, 3) world axes
+
+
+def _without_contact(scene: Scene, world: World, rods: RodModel, rod_step: RodStep) -> RodStep:
+    for _ in range(rods.iterations):
+        _check_finite(scene, world, rod_step)
+        v = rod_step.system.free_velocities()
+        rod_step = rod_step.moved(v, np.zeros_like(v))
+        if rod_step.converged:
+            break
+    return rod_step
+
+
+def _with_contact(
     scene: Scene,
+    solver: GaussSeidel,
     world: World,
-    v: Array,
-    roots: RootMotion,
-    motions: list[Motion],
+    rods: RodModel,
+    rod_step: RodStep,
     contacts: Contacts,
-    impulses: Array,
-) -> World:
-    """The world at the end of the step."""
-    state = advance(scene.rods, world.state, v, roots, scene.dt)
-    bodies = tuple(
+    obstacles: list[Obstacle],
+) -> _Answer:
+    """Solve the problems of a step; contacts stay where they are at its beginning."""
+    system = _contact_system(scene, rods, rod_step, contacts, obstacles)
+    guess = _guess(world, contacts, system.frames)
+    for iteration in range(1, rods.iterations + 1):
+        _check_finite(scene, world, rod_step)
+        problem = _problem(scene, rod_step.system, contacts, system)
+        run = solver.solve(problem.condense(), guess)
+        v, impulse = problem.velocities(run.r), system.H.T @ run.r
+        shape = rod_step.system.f.shape
+        rod_step = rod_step.moved(v.reshape(shape), impulse.reshape(shape))
+        if rod_step.converged or iteration == rods.iterations:
+            break
+        guess = run.r
+    impulses = np.einsum("nji,nj->ni", system.frames, run.r.reshape(-1, 3))
+    return _Answer(rod_step, problem, guess, run, impulses)
+
+
+def _check_finite(scene: Scene, world: World, rod_step: RodStep) -> None:
+    system = rod_step.system
+    if not (np.isfinite(system.M).all() and np.isfinite(system.f).all()):
+        raise SimulationError(f"{scene.name}: the motion blew up at {world.time:g} s; take a smaller dt")
+
+
+def _problem(
+    scene: Scene, system: System, contacts: Contacts, contact_system: ContactSystem
+) -> StepProblem | ConstrainedStep:
+    mu = np.where(contacts.obstacle < 0, scene.mu_fibres, scene.mu_obstacles).astype(float)
+    step = StepProblem(system.matrix(), system.f.ravel(), contact_system.H, contact_system.w, mu)
+    constraints = system.constraints()
+    return step if constraints is None else ConstrainedStep(step, *constraints)
+
+
+def _moved(scene: Scene, world: World, motions: list[Motion]) -> tuple[Body, ...]:
+    """The bodies at the end of the step."""
+    return tuple(
         replace(
             body,
             pivot=body.pivot + scene.dt * motion.velocity,
@@ -125,25 +175,22 @@ def _moved(
         )
         for body, motion in zip(world.bodies, motions, strict=True)
     )
-    return World(world.time + scene.dt, state, bodies, contacts, impulses)
 
 
 def _contact_system(
-    scene: Scene, state: State, contacts: Contacts, obstacles: list[Obstacle], roots: RootMotion
+    scene: Scene, rods: RodModel, rod_step: RodStep, contacts: Contacts, obstacles: list[Obstacle]
 ) -> ContactSystem:
     """The Jacobians of both sides of every contact, assembled; side B of an obstacle is not read."""
-    fibre_b = np.maximum(contacts.fibre_b, 0)
-    a = point_jacobian(scene.rods, state, contacts.fibre_a, contacts.s_a)
-    b = point_jacobian(scene.rods, state, fibre_b, contacts.s_b)
-    drift_a = prescribed_velocity(scene.rods, state, roots, contacts.fibre_a, a.position)
-    drift_b = np.where(
-        contacts.obstacle[:, None] < 0,
-        prescribed_velocity(scene.rods, state, roots, fibre_b, b.position),
-        obstacle_drift(contacts, obstacles),
+    jacobian_a, drift_a = rod_step.contact_points(contacts.fibre_a, contacts.s_a)
+    jacobian_b, drift_b = rod_step.contact_points(np.maximum(contacts.fibre_b, 0), contacts.s_b)
+    of_obstacles = obstacle_drift(contacts, obstacles)
+    drift_b = np.where(contacts.obstacle[:, None] < 0, drift_b, of_obstacles)
+    system = assemble(
+        contacts, jacobian_a, jacobian_b, drift_a, drift_b, dt=scene.dt, rods=len(scene.rods.length)
     )
-    return assemble(
-        contacts, a.jacobian, b.jacobian, drift_a, drift_b, dt=scene.dt, rods=len(scene.rods.length)
-    )
+    if rods.local_support:
+        system.H.eliminate_zeros()
+    return system
 
 
 def _of_body(body: Body, motion: Motion) -> list[Obstacle]:
@@ -181,14 +228,6 @@ def _root_motion(scene: Scene, world: World, motions: list[Motion]) -> RootMotio
         (velocity - old_velocity) / scene.dt + centripetal,
         (omega - old_omega) / scene.dt,
     )
-
-
-def _block_diagonal(M: Array) -> csr_array:
-    """One block a rod; symmetric bit for bit, so that a file holds the very problem that was solved."""
-    R, D, _ = M.shape
-    return bsr_array(
-        (0.5 * (M + M.transpose(0, 2, 1)), np.arange(R), np.arange(R + 1)), shape=(R * D, R * D)
-    ).tocsr()
 
 
 def _guess(world: World, contacts: Contacts, frames: Array) -> Array:
