@@ -1,5 +1,6 @@
 """Rods: kinematics from curvatures, dynamics, the linearly implicit step."""
 
+from fibercontact.rods.basis import CLOTHOID, HELIX
 from fibercontact.rods.dynamics import (
     Energy,
     advance,
@@ -13,6 +14,8 @@ from fibercontact.rods.kinematics import Points, centreline, point_jacobian, pre
 from fibercontact.rods.model import Rods, RootMotion, State, circular_rods, dofs, rest_state, still
 
 __all__ = [
+    "CLOTHOID",
+    "HELIX",
     "Energy",
     "Points",
     "Rods",
