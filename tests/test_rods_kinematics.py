@@ -226,7 +226,7 @@ def test_sampled_jacobians_obey_the_stated_error_bound(angle, basis):
 @both_bases
 @pytest.mark.parametrize("free", [False, True])
 def test_sampled_jacobians_give_the_velocities(free, basis):
-    rods, state = make(basis, free)
+    rods, state = make(basis, free, angle=0.2)  # the two integrations agree to rounding
     root = random_motion(1)
     samples = sample(rods, state, root)
     from_dofs = np.einsum("rgcd,rd->rgc", samples.jacobian, state.v)
