@@ -11,6 +11,8 @@ SMALL = {
     "sweep_cost.py": ["--contacts", "60", "--repetitions", "1", "--solvers", "secular,pyramid"],
     "reference_methods.py": ["--problems", "6", "--max-contacts", "60", "--seconds", "0.5"],
     "alart_curnier_steps.py": ["--problems", "20", "--out", "figure"],
+    "rod_convergence.py": ["--most", "8", "--out", "figure"],
+    "rod_validation.py": ["--elements", "6,8", "--bends", "8", "--curve", "1", "--out", "figure"],
 }
 
 
