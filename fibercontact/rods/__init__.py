@@ -1,5 +1,6 @@
 """Rods: from curvatures or in maximal coordinates; kinematics, dynamics, implicit steps."""
 
+from fibercontact.rods.basis import CLOTHOID, HELIX
 from fibercontact.rods.discrete_model import (
     DiscreteRods,
     DiscreteState,
@@ -21,6 +22,8 @@ from fibercontact.rods.kinematics import Points, centreline, point_jacobian, pre
 from fibercontact.rods.model import Rods, RootMotion, State, circular_rods, dofs, rest_state, still
 
 __all__ = [
+    "CLOTHOID",
+    "HELIX",
     "DiscreteRods",
     "DiscreteState",
     "Energy",

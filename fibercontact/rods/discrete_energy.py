@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fibercontact.jit import jit
 from fibercontact.rods.discrete_model import DiscreteRods, DiscreteState, material_director
-from fibercontact.rods.kinematics import Vector, cross, row
+from fibercontact.rods.vectors import Vector, cross, row
 
 __all__ = ["Derivatives", "Frames", "Law", "derivatives", "elastic_law", "frames", "law_energy", "strains"]
 

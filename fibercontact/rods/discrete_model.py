@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fibercontact.rods.basis import HELIX
 from fibercontact.rods.model import Rods, circular_rods
 
 __all__ = [
@@ -138,7 +139,12 @@ def discrete_rods(
 
 
 def discretise(rods: Rods, edges: int, inextensible: bool = False) -> DiscreteRods:
-    """Make discrete rods of the material of Super-Helices; rest curvatures are means over the nodes' cells."""
+    """Make discrete rods of the material of Super-Helices; rest curvatures are means over the nodes' cells.
+
+    ValueError when the rods are Super-Clothoids or there is but one edge.
+    """
+    if rods.basis != HELIX:
+        raise ValueError("only Super-Helices can be discretised")
     if edges < 2:
         raise ValueError("edges must be at least 2")
     R, elements = rods.q_rest.shape[:2]

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from fibercontact.rods.basis import element_count, shape, shapes
 from fibercontact.rods.model import Rods, RootMotion, State, dofs, still
 from fibercontact.rods.motion import POINTS, Samples, sample
 from fibercontact.rods.quadrature import gauss
-from fibercontact.rods.superhelix import SHAPES, shape
 
 __all__ = [
     "Energy",
@@ -107,29 +107,26 @@ def inertia_matrix(rods: Rods, state: State) -> Array:
 def stiffness_matrix(rods: Rods) -> Array:
     """Assemble the elastic stiffness 𝕂 (R, D, D), `∫ phi_j phi_k ds K`; zero in the rows of a free root."""
     R, N = rods.q_rest.shape[:2]
-    element = rods.length / _elements(rods)
-    blocks = np.einsum("r,jk,ri,im->rjikm", element, _gram(N), rods.stiffness, np.eye(3), optimize=False)
+    element = rods.length / element_count(rods.basis, rods.q_rest)
+    blocks = np.einsum("r,jk,ri,im->rjikm", element, _gram(rods), rods.stiffness, np.eye(3), optimize=False)
     K, root = np.zeros((R, dofs(rods), dofs(rods))), 6 * rods.free
     K[:, root:, root:] = blocks.reshape(R, 3 * N, 3 * N)
     return K
 
 
-def _elements(rods: Rods) -> int:
-    return rods.q_rest.shape[1] + 1 - SHAPES
-
-
-def _gram(coefficients: int) -> Array:
-    """`∫ phi_j phi_k` in units of an element's length."""
-    gram, rule = np.zeros((coefficients, coefficients)), gauss(POINTS)
-    phi = np.array([[shape(a, xi) for a in range(SHAPES)] for xi in rule.nodes])
-    for e in range(coefficients + 1 - SHAPES):
-        gram[e : e + SHAPES, e : e + SHAPES] += phi.T @ (rule.weights[:, None] * phi)
+def _gram(rods: Rods) -> Array:
+    """`∫ phi_j phi_k` (N, N) in units of an element's length."""
+    N, a, rule = rods.q_rest.shape[1], shapes(rods.basis), gauss(POINTS)
+    phi = np.array([[shape(rods.basis, k, xi) for k in range(a)] for xi in rule.nodes])
+    gram = np.zeros((N, N))
+    for e in range(element_count(rods.basis, rods.q_rest)):
+        gram[e : e + a, e : e + a] += phi.T @ (rule.weights[:, None] * phi)
     return gram
 
 
 def _mass(rods: Rods) -> Array:
     """Mass (R, G) that each quadrature point stands for, kg."""
-    E = _elements(rods)
+    E = element_count(rods.basis, rods.q_rest)
     return np.outer(rods.line_density * rods.length / E, np.tile(gauss(POINTS).weights, E))
 
 

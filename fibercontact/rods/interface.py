@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csr_array
 
 from fibercontact.rods import discrete_step, dynamics, kinematics
+from fibercontact.rods.basis import CLOTHOID
 from fibercontact.rods.discrete_model import DiscreteRods, DiscreteState
 from fibercontact.rods.dynamics import Energy
 from fibercontact.rods.model import Rods, RootMotion, State
@@ -165,10 +166,16 @@ class CurvatureModel:
     """Curvature-based rods."""
 
     rods: Rods
-    title: str = "Super-Helix fibres, one block of M a fibre"
     iterations: int = 1
     local_support: bool = False
     held_length: float = 0.0
+
+    @property
+    def title(self) -> str:
+        """Name of the model."""
+        return (
+            f"Super-{'Clothoid' if self.rods.basis == CLOTHOID else 'Helix'} fibres, one block of M a fibre"
+        )
 
     def centreline(self, state: State, points: int) -> Array:
         """Vertices (R, points + 1, 3)."""

@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fibercontact.rods.basis import CLOTHOID, HELIX, shapes
+
 __all__ = ["Rods", "RootMotion", "State", "circular_rods", "dofs", "rest_state", "still"]
 
 Array = NDArray[np.float64]
@@ -28,6 +30,7 @@ class Rods(NamedTuple):
     q_rest: Array  # (R, N, 3) rest curvatures, rad/m
     damping: Array  # (R,) nu, s
     free: bool  # True: the roots are dofs; False: they are clamped and their motion is prescribed
+    basis: int  # HELIX or CLOTHOID
 
 
 class State(NamedTuple):
@@ -69,11 +72,13 @@ def circular_rods(
     curvature: ArrayLike = 0.0,
     damping: ArrayLike = 0.0,
     free: bool = False,
+    basis: int = HELIX,
 ) -> Rods:
-    """Make Super-Helix rods of circular section: `EI = young pi radius⁴/4`, `GJ = EI/(1 + poisson)`.
+    """Make rods of circular section: `EI = young pi radius⁴/4`, `GJ = EI/(1 + poisson)`.
 
     length, radius (m), young (Pa), poisson, density (kg/m³), damping (s): one number or one a rod, broadcast
-    together. The rest `curvature` (rad/m) broadcasts to (R, N, 3). ValueError names what is out of range.
+    together. A Super-Helix has one coefficient an element, a Super-Clothoid one a node: `N = elements + 1`. The
+    rest `curvature` (rad/m) broadcasts to (R, N, 3). ValueError names what is out of range.
 
     >>> rods = circular_rods(length=[0.1, 0.2], radius=1e-3, young=1e9, poisson=0.5, density=1e3, elements=4)
     >>> rods.q_rest.shape, f"{rods.stiffness[0, 1]:.3e}"
@@ -86,11 +91,13 @@ def circular_rods(
     _require(bool(np.all((nu > -1) & (nu <= 0.5))), "poisson must lie in (-1, 0.5]")
     _require(bool(np.all((damp >= 0) & np.isfinite(damp))), "damping must be finite and not negative")
     _require(elements >= 1, "elements must be at least 1")
-    q_rest = np.array(np.broadcast_to(curvature, (len(L), elements, 3)), dtype=float)
+    _require(basis in (HELIX, CLOTHOID), "basis must be HELIX or CLOTHOID")
+    N = elements + shapes(basis) - 1
+    q_rest = np.array(np.broadcast_to(curvature, (len(L), N, 3)), dtype=float)
     _require(bool(np.all(np.isfinite(q_rest))), "curvature must be finite")
     bending = E * np.pi * a**4 / 4
     stiffness = np.column_stack([bending / (1 + nu), bending, bending])
-    return Rods(L, rho * np.pi * a**2, a, stiffness, q_rest, damp, free)
+    return Rods(L, rho * np.pi * a**2, a, stiffness, q_rest, damp, free, basis)
 
 
 def rest_state(rods: Rods, root_position: ArrayLike = 0.0, root_frame: ArrayLike | None = None) -> State:

@@ -1,15 +1,18 @@
 """Super-Helix [Bertails 2006]: the curvature is constant in an element, so every element is an arc of helix.
 
-This file holds all that is special to the basis: the hat or step functions `phi` of an element and the
-transport of frame and centreline along it. Coefficient `e + a` belongs to shape `a` of element `e`.
+This file holds all that is special to the basis: the step function `phi` of an element and the transport
+of frame and centreline along it. Coefficient `e` belongs to element `e`.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fibercontact.jit import jit
+from fibercontact.rods.vectors import Vector, row
 
 __all__ = ["SHAPES", "rotation_series", "shape", "transport"]
+
+Array = NDArray[np.float64]
 
 SHAPES = 1  # functions phi that are not zero in an element
 
@@ -35,25 +38,35 @@ def rotation_series(angle2: float) -> tuple[float, float, float]:
 
 @jit
 def transport(
-    coefficients: NDArray[np.float64],
+    coefficients: Array,
     length: float,
-    xi: float,
-    frame: NDArray[np.float64],
-    position: NDArray[np.float64],
-    frame_out: NDArray[np.float64],
-    position_out: NDArray[np.float64],
+    places: Array,
+    frame: Array,
+    position: Array,
+    frames: Array,
+    positions: Array,
 ) -> None:
-    """Carry frame and position from the start of an element to `x = xi·length`, in closed form.
+    """Carry frame and position from the start of an element to its `places` (m,), in [0, 1].
+
+    coefficients (SHAPES, 3): curvatures `(tau, kappa_1, kappa_2)` of the element, rad/m. length: of the element,
+    m. frame (3, 3): columns `t, n_1, n_2`. The start may be kept at the end of the outputs, frames (m, 3, 3) and
+    positions (m, 3).
+    """
+    for k in range(len(places)):
+        _follow_arc(row(coefficients[0]), places[k] * length, frame, position, frames[k], positions[k])
+
+
+@jit
+def _follow_arc(
+    kappa: Vector, x: float, frame: Array, position: Array, frame_out: Array, position_out: Array
+) -> None:
+    """Carry frame and position to the arc-length x, in closed form.
 
     With `k = x kappa` in material axes and `θ = |k|`, Rodrigues' formula gives the frame
     `F exp[k]` and, integrated, the centreline
-    `r + x F (e_1 + (1 − cos θ)/θ² k×e_1 + (θ − sin θ)/θ³ k×(k×e_1))`.
-
-    coefficients (SHAPES, 3): curvatures `(tau, kappa_1, kappa_2)` of the element's shapes, rad/m. length: of
-    the element, m. frame (3, 3): columns `t, n_1, n_2`. The outputs may be the inputs.
+    `r + x F (e_1 + (1 − cos θ)/θ² k×e_1 + (θ − sin θ)/θ³ k×(k×e_1))`. The outputs may be the inputs.
     """
-    x = xi * length
-    k0, k1, k2 = x * coefficients[0, 0], x * coefficients[0, 1], x * coefficients[0, 2]
+    k0, k1, k2 = x * kappa[0], x * kappa[1], x * kappa[2]
     angle2 = k0 * k0 + k1 * k1 + k2 * k2
     a, b, c = rotation_series(angle2)
     d = 1 - b * angle2

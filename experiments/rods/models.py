@@ -1,0 +1,193 @@
+"""Rod models under one face, so that a validation asks each of them the same questions: `MODELS`.
+
+The rods are dimensionless: length, bending stiffness EI and mass per unit length are 1, the twist stiffness
+GJ is 1/(1 + POISSON). A weight of Gamma = rho S g L³/EI is a gravity of Gamma; a curvature is in turns of
+1/L radians. Roots are clamped at the origin with the frame of the world: the tangent is x, n_1 is y, n_2 is z.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+
+from fibercontact.rods import (
+    CLOTHOID,
+    HELIX,
+    Rods,
+    State,
+    centreline,
+    circular_rods,
+    dofs,
+    generalised_force,
+    inertia_matrix,
+    rest_state,
+    stiffness_matrix,
+)
+
+Array = NDArray[np.float64]
+POISSON, RADIUS = 0.5, 0.01
+_STEP = 1e-5  # of the differences that give the Hessian
+_CHUNK = 24  # rods in a batch
+
+
+class Case(NamedTuple):
+    """What an equilibrium depends on: the rest curvature `(tau, kappa_1, kappa_2)` and gravity."""
+
+    curvature: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+class Equilibrium(Protocol):
+    """A rod at rest under its own weight."""
+
+    def centreline(self, intervals: int) -> Array:
+        """Points (intervals + 1, 3) at equal spacing in arc-length."""
+        ...
+
+    def stability(self) -> float:
+        """A number that passes smoothly through zero where the equilibrium loses its stability."""
+        ...
+
+
+class Model(Protocol):
+    """A rod model with a mesh to refine; `order` is the expected order of its equilibria and frequencies."""
+
+    order: int
+
+    def dofs(self, elements: int) -> int:
+        """Degrees of freedom of a clamped rod."""
+        ...
+
+    def follow(
+        self, path: Sequence[Case], elements: int, start: Equilibrium | None = None
+    ) -> Iterator[Equilibrium]:
+        """Equilibria along a path of cases, each found from the one before.
+
+        The first is found from `start`, or else from the natural shape of the first case.
+        """
+        ...
+
+    def bending_frequency(self, elements: int) -> float:
+        """Lowest angular frequency of the straight clamped rod."""
+        ...
+
+    def twist_frequency(self, elements: int) -> float:
+        """Lowest angular frequency in twist of the straight free rod."""
+        ...
+
+
+class Balance(NamedTuple):
+    """Equilibrium of a rod with curvatures as coordinates."""
+
+    rods: Rods
+    state: State
+    case: Case
+
+    def centreline(self, intervals: int) -> Array:
+        return centreline(self.rods, self.state, intervals)[0]
+
+    def stability(self) -> float:
+        """Least share of the elastic energy of a disturbance that gravity leaves."""
+        hessian = _hessian(self.rods, self.state, self.case)
+        return float(eigh(hessian, stiffness_matrix(self.rods)[0], eigvals_only=True)[0])
+
+
+@dataclass(frozen=True)
+class CurvatureRod:
+    """Super-Helix or Super-Clothoid."""
+
+    basis: int
+    order: int
+
+    def dofs(self, elements: int) -> int:
+        return dofs(self._rods(elements, Case()))
+
+    def follow(self, path: Sequence[Case], elements: int, start: Balance | None = None) -> Iterator[Balance]:
+        if start is None:
+            natural = Case(path[0].curvature)
+            rods = self._rods(elements, natural)
+            start = Balance(rods, rest_state(rods), natural)
+        for case in path:
+            start = self._reach(case, elements, start)
+            yield start
+
+    def _reach(self, case: Case, elements: int, start: Balance, depth: int = 0) -> Balance:
+        """Newton's method from the equilibrium `start`, by way of the middle when it fails."""
+        rods = self._rods(elements, case)
+        state = _newton(rods, start.state, case)
+        if state is not None:
+            return Balance(rods, state, case)
+        if depth == 8:
+            raise RuntimeError(f"no equilibrium of {case} was found")
+        middle = Case(*(tuple(np.add(a, b) / 2) for a, b in zip(start.case, case, strict=True)))
+        return self._reach(case, elements, self._reach(middle, elements, start, depth + 1), depth + 1)
+
+    def bending_frequency(self, elements: int) -> float:
+        rods = self._rods(elements, Case())
+        bend = slice(1, None, 3)
+        K, inertia = stiffness_matrix(rods)[0], inertia_matrix(rods, rest_state(rods))[0]
+        return float(np.sqrt(eigh(K[bend, bend], inertia[bend, bend], eigvals_only=True)[0]))
+
+    def twist_frequency(self, elements: int) -> float:
+        rods = self._rods(elements, Case(), free=True)
+        twist = [3, *range(6, dofs(rods), 3)]  # the turning of the root about the tangent, then tau
+        block = np.ix_(twist, twist)
+        K, inertia = stiffness_matrix(rods)[0][block], inertia_matrix(rods, rest_state(rods))[0][block]
+        return float(np.sqrt(eigh(K, inertia, eigvals_only=True)[1]))  # the first is that of a rigid body
+
+    def _rods(self, elements: int, case: Case, free: bool = False) -> Rods:
+        return circular_rods(
+            length=1.0,
+            radius=RADIUS,
+            young=4 / (np.pi * RADIUS**4),
+            poisson=POISSON,
+            density=1 / (np.pi * RADIUS**2),
+            elements=elements,
+            curvature=case.curvature,
+            free=free,
+            basis=self.basis,
+        )
+
+
+MODELS: dict[str, Model] = {
+    "Super-Helix": CurvatureRod(HELIX, order=2),
+    "Super-Clothoid": CurvatureRod(CLOTHOID, order=4),
+}
+
+
+def _newton(rods: Rods, state: State, case: Case) -> State | None:
+    """Equilibrium near a state, or None: where every coefficient would move by less than 1e-10."""
+    for _ in range(15):
+        force = generalised_force(rods, state, np.array(case.gravity))[0]
+        step = np.linalg.solve(_hessian(rods, state, case), force).reshape(state.q.shape)
+        state = state._replace(q=state.q + step)
+        size = np.abs(step).max()
+        if size < 1e-10 * (1 + np.abs(state.q).max()):
+            return state
+        if not size < 100:
+            break
+    return None
+
+
+def _hessian(rods: Rods, state: State, case: Case) -> Array:
+    """Second derivatives (D, D) of the energy with respect to the coefficients, by central differences."""
+    D = state.q.size
+    columns = []
+    for first in range(0, D, _CHUNK):
+        shift = _STEP * np.eye(D)[first : first + _CHUNK]
+        ahead, behind = (_forces(rods, state, case, sign * shift) for sign in (1, -1))
+        columns.append((behind - ahead) / (2 * _STEP))
+    hessian = np.concatenate(columns)
+    return (hessian + hessian.T) / 2
+
+
+def _forces(rods: Rods, state: State, case: Case, shifts: Array) -> Array:
+    """Generalised forces (m, D) on copies of a rod whose coefficients are shifted by `shifts` (m, D)."""
+    m = len(shifts)
+    many = Rods(*(np.repeat(x, m, axis=0) if isinstance(x, np.ndarray) else x for x in rods))
+    q = state.q + shifts.reshape(m, *state.q.shape[1:])
+    moved = rest_state(many)._replace(q=q)
+    return generalised_force(many, moved, np.array(case.gravity))
