@@ -1,8 +1,9 @@
 """What happens where the local solvers fail on one contact: the evidence behind docs/one_contact.md.
 
-Contacts with condition numbers up to 1e10 are replayed. Of each solver's failures, up to --sample of the visits and
-as many of the synthetic contacts are run again iteration by iteration. Of all: how many different operators W they
-have, and how many of the answers were right though the solver did not claim them. Of
+The visits are replayed, those with condition numbers above 1e10 apart, and the synthetic contacts with condition
+numbers up to there. Of each solver's failures, up to --sample of a kind are run again iteration by iteration. Of all:
+how many different operators W they have, and how many of the answers were right though the solver did not claim them.
+Of
 
 * PAC, whether its full steps end in a cycle, how long it is, and whether it is the one between take-off and a
   sticking impulse that pulls: from r = 0 the trial point is in the friction disc, so the step lands on -W⁻¹b; its
@@ -37,10 +38,9 @@ CLOSE = 1e-3
 
 
 def of_kind(contacts: OneContacts) -> dict[str, np.ndarray]:
-    """Masks: visits of Gauss–Seidel runs, and synthetic contacts; condition numbers up to 1e10."""
-    known = np.char.startswith(contacts.family, "known")
-    regular = contacts.condition <= 1e10
-    return {"visits": ~known & regular, "synthetic": known & regular}
+    """Masks: visits of Gauss–Seidel runs, those with singular W apart, and synthetic contacts with regular W."""
+    known, regular = np.char.startswith(contacts.family, "known"), contacts.condition <= 1e10
+    return {"visits": ~known & regular, "visits, W singular": ~known & ~regular, "synthetic": known & regular}
 
 
 def drawn(mask: np.ndarray, count: int) -> np.ndarray:
@@ -187,7 +187,7 @@ def evidence(contacts: OneContacts, sample: int) -> Iterator[tuple]:
                 what |= {f"of successes: {words}": value for words, value in control.items()}
             yield from ((name, kind, count, len(which), words, value) for words, value in what.items())
         if name == "pac":
-            must = pulls(contacts) & ~contacts.start.any(axis=1) & (contacts.condition <= 1e10)
+            must = pulls(contacts) & ~contacts.start.any(axis=1)
             share = 100 * np.mean(~verdict.solved[must]) if must.any() else np.nan
             yield name, "all", int(failed.sum()), int(must.sum()), "of those that must cycle, fail (%)", share
 

@@ -13,6 +13,8 @@ kappa L = 5.5 both branches end in a fold within the plane before that. Writes a
 
 import argparse
 from collections import deque
+from functools import cache
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -61,22 +63,13 @@ def transition(model: Model, elements: int, bend: float, branch: str, near: floa
     return references.first_zero(stability, start, factor)
 
 
-def reference_transitions(bends: list[float]) -> pd.DataFrame:
-    rows = [
-        {
-            "branch": branch,
-            "bend": bend,
-            "weight": references.Hook(bend, 1 / (1 + POISSON)).transition(branch),
-        }
-        for branch in BRANCHES
-        for bend in bends
-    ]
-    return pd.DataFrame(rows).set_index(["branch", "bend"])["weight"]
+@cache
+def reference_transition(branch: str, bend: float) -> float:
+    return references.Hook(bend, 1 / (1 + POISSON)).transition(branch)
 
 
 def accuracy(meshes: list[int]) -> pd.DataFrame:
     """Relative errors of every model on growing meshes, and their orders."""
-    sought = reference_transitions([TABLED_BEND])
     weight = np.array([TABLED_WEIGHT])
     exact = float(aspect(references.elastica(weight, np.ones(1))[0, 0]))
     rows = []
@@ -85,7 +78,7 @@ def accuracy(meshes: list[int]) -> pd.DataFrame:
             value = cantilever(model, N, weight)[0]
             rows.append((f"H/W, Gamma = {TABLED_WEIGHT:g}", name, N, value, exact))
             for branch in BRANCHES:
-                near = sought[branch, TABLED_BEND]
+                near = reference_transition(branch, TABLED_BEND)
                 value = transition(model, N, TABLED_BEND, branch, near)
                 rows.append((f"Gamma of {branch}, kappa L = {TABLED_BEND:g}", name, N, value, near))
     table = pd.DataFrame(rows, columns=["quantity", "model", "elements", "value", "reference"])
@@ -98,20 +91,19 @@ def accuracy(meshes: list[int]) -> pd.DataFrame:
 
 def diagram(elements: int, bends: list[float]) -> pd.DataFrame:
     """Critical weights of every model and the reference's."""
-    sought = reference_transitions(bends)
-    rows = [
-        {"branch": branch, "bend": bend, "reference": near}
-        | {name: transition(model, elements, bend, branch, near) for name, model in MODELS.items()}
-        for (branch, bend), near in sought.items()
-    ]
+    rows = []
+    for branch, bend in product(BRANCHES, bends):
+        near = reference_transition(branch, bend)
+        weights = {name: transition(model, elements, bend, branch, near) for name, model in MODELS.items()}
+        rows.append({"branch": branch, "bend": bend, "reference": near} | weights)
     return pd.DataFrame(rows)
 
 
-def draw(elements: int, critical: pd.DataFrame, curves: dict[str, pd.Series]) -> Figure:
+def draw(elements: int, critical: pd.DataFrame, curve: np.ndarray) -> Figure:
     figure = Figure(figsize=(9.0, 3.8), layout="constrained")
     left, right = figure.subplots(1, 2)
     _draw_cantilever(left, elements)
-    _draw_diagram(right, elements, critical, curves)
+    _draw_diagram(right, elements, critical, curve)
     return figure
 
 
@@ -129,11 +121,12 @@ def _draw_cantilever(axes: Axes, elements: int) -> None:
     axes.legend(fontsize=8)
 
 
-def _draw_diagram(axes: Axes, elements: int, critical: pd.DataFrame, curves: dict[str, pd.Series]) -> None:
-    axes.fill_between(curves["curl"].index, curves["curl"], curves["hanging"], color="0.95")
+def _draw_diagram(axes: Axes, elements: int, critical: pd.DataFrame, bends: np.ndarray) -> None:
+    curves = {branch: [reference_transition(branch, bend) for bend in bends] for branch in BRANCHES}
+    axes.fill_between(bends, curves["curl"], curves["hanging"], color="0.95")
     for branch, rows in critical.groupby("branch"):
         style = {"color": "0.3", "linewidth": 1.2, "linestyle": "-" if branch == "hanging" else "--"}
-        axes.semilogy(curves[branch].index, curves[branch], **style, label=f"{branch} branch, linearised BVP")
+        axes.semilogy(bends, curves[branch], **style, label=f"{branch} branch, linearised BVP")
         for k, name in enumerate(MODELS):
             _markers(axes, rows.bend, rows[name], k, name if branch == "hanging" else None)
     for x, y, text in ((0.6, 0.42, "bent and twisted"), (0.3, 0.66, "plane hook"), (0.7, 0.1, "plane curl")):
@@ -172,8 +165,7 @@ def main() -> None:
     critical = diagram(drawn, bends)
     critical.to_csv(given.out / "transition.csv", index=False, float_format="%.6g")
     print(critical.to_string(index=False, float_format="{:.6g}".format))
-    reference = reference_transitions(list(np.linspace(bends[0], bends[-1], given.curve)))
-    save(draw(drawn, critical, {branch: reference[branch] for branch in BRANCHES}), given.out, "validation")
+    save(draw(drawn, critical, np.linspace(bends[0], bends[-1], given.curve)), given.out, "validation")
 
 
 if __name__ == "__main__":

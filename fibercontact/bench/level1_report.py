@@ -218,25 +218,30 @@ def draw_strata(measured: Measured) -> Figure:
     """Failure share against condition number and against mu, a row of axes a kind but the hard visits."""
     found = strata(measured)
     kinds = [kind for kind in found["kind"].unique() if kind != "hard"] or list(found["kind"].unique())
-    figure = Figure(figsize=(9.0, 3.4 * len(kinds)), dpi=100, layout="constrained")
+    figure = Figure(figsize=(9.0, 0.6 + 3.2 * len(kinds)), dpi=100, layout="constrained")
     axes = figure.subplots(len(kinds), 2, squeeze=False)
     for row, kind in zip(axes, kinds, strict=True):
         for panel, by, name in zip(row, ("condition", "mu"), ("condition number of W", "mu"), strict=True):
             _draw_rates(panel, found[(found["kind"] == kind) & (found["by"] == by)])
             panel.set_xlabel(name)
         row[0].set_ylabel(f"failures (%), {kind}")
-    axes[0][0].legend(fontsize=8)
+    figure.legend(handles=axes[0][0].get_lines(), loc="outside upper center", ncols=4, fontsize=9)
     return figure
 
 
 def _draw_rates(axes: Any, rows: pd.DataFrame) -> None:
+    """A line a solver, side by side where they coincide."""
     order = _in_order(rows["stratum"].unique())
-    for k, (solver, group) in enumerate(rows.groupby("solver", sort=False)):
-        percent = group.set_index("stratum")["failure_percent"].reindex(order)
+    solvers = rows["solver"].unique()
+    for k, solver in enumerate(solvers):
+        percent = rows[rows["solver"] == solver].set_index("stratum")["failure_percent"].reindex(order)
+        aside = 0.07 * (k - (len(solvers) - 1) / 2)
         style = {"color": COLOURS[k % len(COLOURS)], "marker": MARKERS[k % len(MARKERS)]}
-        axes.plot(range(len(order)), percent, label=solver, linewidth=1.4, markersize=5, **style)
+        axes.plot(np.arange(len(order)) + aside, percent, label=solver, linewidth=1.0, markersize=5, **style)
     axes.set_xticks(range(len(order)), order, fontsize=8)
     axes.set_yscale("symlog", linthresh=0.01)
     axes.set_ylim(-0.003, 150.0)
-    axes.grid(which="major", color="0.9")
+    ticks = [0.0, 0.01, 0.1, 1.0, 10.0, 100.0]
+    axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.grid(axis="y", color="0.9")
     axes.set_axisbelow(True)

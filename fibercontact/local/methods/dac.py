@@ -3,7 +3,7 @@
 Equation: `f_N = r_N - max(0, r_N - rho_N u_N)`, `f_T = r_T - P_disc(r_T - rho_T u_T)` (THEORY §3).
 Reference: Alart and Curnier, CMAME 92, 1991; Bertails-Descoubes, Cadoux, Daviet and Acary, ACM TOG 30(1), 2011.
 A full step is taken when it decreases the merit. Fails when the line search stalls: the merit of a nonsmooth
-function has local minima that are not zeros.
+function has valleys along its kinks that do not lead to zeros, mostly the kink of stick and slip.
 """
 
 import numpy as np

@@ -2,8 +2,8 @@
 
 Equation: `mu² p(alpha)² - W_NN² |B + alpha b̄|² = 0`, `alpha > 0`, `r_N > 0` (THEORY §3).
 Reference: Daviet, Bertails-Descoubes and Boissieux, ACM TOG 30(6), 2011, appendix B.
-Exact in exact arithmetic. Fails when rounding hides the admissible root (near double roots, condition numbers of
-`W` above about 1e5) or leaves it too inaccurate; it has no approximate answer to give then.
+Exact in exact arithmetic. Fails when the admissible root is lost in the rounding of the largest one: at the edge of
+stick and slip, for `b_N` just below 0, with a singular `W`; it has no approximate answer to give then.
 """
 
 import numpy as np

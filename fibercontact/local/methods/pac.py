@@ -2,8 +2,8 @@
 
 Equation: `f_N = r_N - max(0, r_N - rho_N u_N)`, `f_T = r_T - P_disc(r_T - rho_T u_T)` (THEORY §3).
 Reference: Alart and Curnier, CMAME 92, 1991; Bertails-Descoubes, Cadoux, Daviet and Acary, ACM TOG 30(1), 2011.
-Quadratic near the solution, no global convergence: full steps cycle between regimes, mostly in slip with
-large mu or ill-conditioned `W`.
+Quadratic near the solution, no global convergence: full steps cycle, mostly between take-off and a sticking impulse
+that pulls, with large mu or a tangential direction in which the contact hardly yields (docs/one_contact.md).
 """
 
 import numpy as np
