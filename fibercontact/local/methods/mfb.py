@@ -2,15 +2,9 @@
 
 Equation: `f = x + y - (x∘x + y∘y)^(1/2) = 0`, `x = (mu r_N, r_T)`, `y = (ũ_N, mu u_T)` (THEORY §3).
 Reference: Daviet, Bertails-Descoubes and Boissieux, ACM TOG 30(6), 2011 (its printed Jacobian has a typo).
-<<<<<<< .merge_file_fRQOW3
-Smooth almost everywhere; fails when the line search stalls at a point that is not a zero, mostly near
-`u_T = 0` or where `z` meets the boundary of the cone, and where rounding hides b behind a far larger impulse.
-Without friction it is degenerate and the normal complementarity is solved directly.
-=======
 Smooth almost everywhere; fails when the line search stalls where the Jacobian is nearly singular, mostly with normal
-and tangents strongly coupled. Without friction it is degenerate and the normal
-complementarity is solved directly.
->>>>>>> .merge_file_Ke8nPi
+and tangents strongly coupled, and where rounding hides b behind a far larger impulse. Without friction it is
+degenerate and the normal complementarity is solved directly.
 """
 
 import numpy as np
