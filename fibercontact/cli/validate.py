@@ -35,7 +35,7 @@ def validate(
     accuracy: Annotated[
         str, typer.Option(help=f"What the solvers stop at: {', '.join(ACCURACIES)}.")
     ] = "mid",
-    max_contacts: Annotated[int, typer.Option(help="Larger problems are skipped.", min=0)] = 300,
+    max_contacts: Annotated[int, typer.Option(help="Larger problems are skipped.", min=0)] = 3000,
     references: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="References; SET.references.hdf5 beside the set by default."),
