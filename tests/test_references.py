@@ -1,15 +1,16 @@
 """Ground truth for whole sets: in processes, stored as it comes, as a table and on the command line."""
 
 import multiprocessing
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pandas as pd
 import pytest
-from oracles import strands
+from oracles import residual, strands
 from typer.testing import CliRunner
 
-from fibercontact.bench.problem_set import load_set
+from fibercontact.bench.problem_set import limited, load_set
 from fibercontact.bench.protocol import BenchError
 from fibercontact.bench.references import (
     describe,
@@ -19,7 +20,7 @@ from fibercontact.bench.references import (
     summary,
 )
 from fibercontact.cli import app
-from fibercontact.problem.fclib import write
+from fibercontact.problem.fclib import read, write
 from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.reference.ground_truth import Search, ground_truth
 from fibercontact.reference.store import Store, references_file
@@ -174,3 +175,23 @@ def test_references_that_cannot_be_read_are_an_error_of_one_line(folder):
     result = invoke(folder, "--jobs", 1)
     assert result.exit_code == 2
     assert "my set.references.hdf5: not a readable HDF5 file" in result.stderr
+
+
+# What is committed
+
+CORE306 = Path(__file__).parents[1] / "problems" / "core306"
+
+
+@pytest.mark.parametrize("entry", limited(load_set(CORE306), 12), ids=lambda entry: entry.name)
+def test_the_committed_references_hold_for_the_problems_as_they_are(entry):
+    """Residual and certificate are computed anew; the residual by the tests' own definition, too."""
+    problem = read(entry.file).problem
+    found = Store(references_file(CORE306)).get(entry.hash, problem, Search())
+    assert found.reference.accepted
+    assert (found.existence.verdict, found.existence.margin > 0.0) == ("solvable", True)
+    assert found.gap <= 1e-10
+    if problem.n <= 100:
+        incremental = problem.condense()
+        W = incremental.W.toarray()
+        for r in (found.reference.r, *found.uniqueness.others):
+            assert residual(W, incremental.b, incremental.mu, r) <= 1.01e-10

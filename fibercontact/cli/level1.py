@@ -1,6 +1,5 @@
 """`fibercontact table --level 1` and `fibercontact harvest`: one-contact problems."""
 
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,6 +9,7 @@ import typer
 
 from fibercontact.bench.protocol import DEFAULT_SOLVERS
 from fibercontact.cli.errors import user_errors
+from fibercontact.cli.screen import print_notes, print_table, screen
 
 if TYPE_CHECKING:
     from fibercontact.bench.level1 import Measured
@@ -94,21 +94,11 @@ def _progress(total: int) -> Iterator[Callable[[str], None]]:
 
 def _finish(measured: "Measured", counts: dict[str, int], folder: Path) -> None:
     """Print and write."""
-    from rich.console import Console
-    from rich.table import Table
-
     from fibercontact.bench.level1_report import grids, notes, write_report
 
     files = write_report(measured, counts, folder)
-    console = Console(width=None if sys.stdout.isatty() else 200)
+    console = screen()
     for grid in grids(measured):
-        table = Table(title=grid.title, title_justify="left")
-        for column in grid.cells.columns:
-            text = column in ("solver", "reasons", "stratum")
-            table.add_column(column, justify="left" if text else "right", no_wrap=column == "solver")
-        for line in grid.cells.itertuples(index=False):
-            table.add_row(*map(str, line))
-        console.print(table)
-    for note in notes(measured, counts):
-        console.print(f"• {note}", markup=False, highlight=False)
+        print_table(console, grid.title, grid.cells, texts=("solver", "reasons", "stratum"))
+    print_notes(console, notes(measured, counts))
     typer.echo(f"{folder}: {', '.join(file.name for file in files)}")

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from fibercontact.cli.errors import user_errors
-from fibercontact.cli.screen import print_table, screen
+from fibercontact.cli.screen import print_notes, print_table, screen
 
 __all__ = ["reference"]
 
@@ -81,8 +81,7 @@ def reference(
             frame.to_csv(file.with_suffix(".csv"), index=False)
             console = screen()
             print_table(console, "references", summary(frame))
-            for note in reference_notes(frame):
-                console.print(f"• {note}", markup=False, highlight=False)
+            print_notes(console, reference_notes(frame))
             typer.echo(f"{file}, {file.with_suffix('.csv').name}")
         for fault in faults:
             typer.echo(f"error: {fault}", err=True)

@@ -1,13 +1,14 @@
 """Tables on the screen."""
 
 import sys
+from collections.abc import Collection, Iterable
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from pandas import DataFrame
     from rich.console import Console
 
-__all__ = ["print_table", "screen"]
+__all__ = ["print_notes", "print_table", "screen"]
 
 
 def screen() -> "Console":
@@ -17,11 +18,20 @@ def screen() -> "Console":
     return Console(width=None if sys.stdout.isatty() else 200)
 
 
-def print_table(console: "Console", title: str, table: "DataFrame") -> None:
-    """Print a table of texts."""
+def print_table(console: "Console", title: str, table: "DataFrame", texts: Collection[str] = ()) -> None:
+    """Print a table of texts; columns that are not among `texts` stand to the right, if any are."""
     from rich.table import Table
 
-    grid = Table(*map(str, table.columns), title=title, title_justify="left")
+    grid = Table(title=title, title_justify="left")
+    for column in table.columns:
+        left = not texts or column in texts
+        grid.add_column(column, justify="left" if left else "right", no_wrap=column == "solver")
     for line in table.itertuples(index=False):
         grid.add_row(*map(str, line))
     console.print(grid)
+
+
+def print_notes(console: "Console", notes: Iterable[str]) -> None:
+    """Print what must be said beside a table."""
+    for note in notes:
+        console.print(f"• {note}", markup=False, highlight=False)

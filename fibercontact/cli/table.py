@@ -1,6 +1,5 @@
 """`fibercontact table`: the comparison table, regenerated."""
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,6 +9,7 @@ import typer
 from fibercontact.bench.protocol import ACCURACIES, DEFAULT_SOLVERS, LOGS, OUTERS, STARTS, BenchError
 from fibercontact.cli.errors import check_known, user_errors
 from fibercontact.cli.level1 import one_contact_table
+from fibercontact.cli.screen import print_notes, print_table, screen
 from fibercontact.cli.solvers import Plugins, split_solvers
 
 if TYPE_CHECKING:
@@ -182,20 +182,9 @@ def _of_plan(plan: "Plan", rows: "Sequence[Row]") -> "list[Row]":
 
 
 def _print(report: "Report") -> None:
-    from rich.console import Console
-    from rich.table import Table
-
     from fibercontact.bench.report import display
 
-    console = Console(width=None if sys.stdout.isatty() else 200)
+    console = screen()
     for view in report.views:
-        cells = display(view).reset_index()
-        grid = Table(title=view.title, title_justify="left")
-        for column in cells.columns:
-            name = column in ("solver", "reasons")
-            grid.add_column(column, justify="left" if name else "right", no_wrap=column == "solver")
-        for line in cells.itertuples(index=False):
-            grid.add_row(*map(str, line))
-        console.print(grid)
-        for note in view.notes:
-            console.print(f"• {note}", markup=False, highlight=False)
+        print_table(console, view.title, display(view).reset_index(), texts=("solver", "reasons"))
+        print_notes(console, view.notes)

@@ -9,7 +9,7 @@ import typer
 
 from fibercontact.bench.protocol import ACCURACIES, DEFAULT_SOLVERS
 from fibercontact.cli.errors import check_known, user_errors
-from fibercontact.cli.screen import print_table, screen
+from fibercontact.cli.screen import print_notes, print_table, screen
 from fibercontact.cli.solvers import Plugins, split_solvers
 
 if TYPE_CHECKING:
@@ -134,5 +134,4 @@ def _finish(comparison: "Comparison", folder: Path) -> None:
         print_table(console, "references", reference_table(comparison))
         print_table(console, "solvers against references", solver_table(comparison))
         typer.echo(f"{folder}: {', '.join(file.name for file in files)}")
-    for note in notes(comparison):
-        console.print(f"• {note}", markup=False, highlight=False)
+    print_notes(console, notes(comparison))
