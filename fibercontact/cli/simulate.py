@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = ["dump", "simulate"]
 
-SCENE_HELP = "Name of a scene; `list` lists them. NAME@discrete: with discrete elastic rods."
+SCENE_HELP = "Name of a scene; `list` lists them. NAME@clothoid, NAME@discrete: with other rods."
 
 
 def simulate(

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from fibercontact.contact.obstacles import Cylinder, Plane, Sphere
 from fibercontact.errors import UserError
+from fibercontact.rods.basis import CLOTHOID, HELIX
 from fibercontact.rods.discrete_model import discrete_state, discretise
 from fibercontact.rods.interface import AnyRods, AnyState
 from fibercontact.rods.model import Rods, circular_rods, rest_state
@@ -29,7 +30,7 @@ YOUNG = 3e7  # Pa
 DENSITY = 1000.0  # kg/m³
 DAMPING = 0.02  # s
 EDGES = 20  # of discrete rods
-MODELS = ("helix", "discrete")
+MODELS = ("helix", "clothoid", "discrete")
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
@@ -50,15 +51,15 @@ class Parameters:
     model: str = "helix"  # of the rods, see MODELS
 
 
-def _rest_curvature(curl: str, fibres: int, elements: int, rng: np.random.Generator) -> Array:
-    """Rest curvatures (R, N, 3): none, alternating bends, or a helix; `mixed` draws one of them a fibre."""
+def _rest_curvature(curl: str, fibres: int, coefficients: int, rng: np.random.Generator) -> Array:
+    """Rest curvatures (R, coefficients, 3): none, alternating bends, or a helix; `mixed` draws one of them a fibre."""
     kinds = {"straight": 0, "wavy": 1, "curly": 2}
     if curl != "mixed" and curl not in kinds:
         raise SceneError(f"unknown curl {curl!r} (known: {', '.join(kinds)}, mixed)")
     kind = rng.integers(0, 3, fibres) if curl == "mixed" else np.full(fibres, kinds[curl])
-    q = np.zeros((fibres, elements, 3))
+    q = np.zeros((fibres, coefficients, 3))
     size = rng.uniform(0.7, 1.3, fibres)[:, None]
-    sign = (-1.0) ** np.arange(elements)
+    sign = (-1.0) ** np.arange(coefficients)
     wavy, curly = kind == 1, kind == 2
     q[wavy, :, 1] = 20.0 * size[wavy] * sign
     q[curly, :, 1] = 30.0 * size[curly]
@@ -69,6 +70,7 @@ def _rest_curvature(curl: str, fibres: int, elements: int, rng: np.random.Genera
 def _rods(p: Parameters, length: float, rng: np.random.Generator, free: bool = False) -> Rods:
     """Strands of the scene; free ones have fewer elements, and curl less or they would fling themselves away."""
     elements, share = (4, 0.2) if free else (5, 1.0)
+    coefficients = elements + (p.model == "clothoid")
     return circular_rods(
         length=length * rng.uniform(0.9, 1.1, p.fibres),
         radius=RADIUS,
@@ -76,9 +78,10 @@ def _rods(p: Parameters, length: float, rng: np.random.Generator, free: bool = F
         poisson=0.5,
         density=DENSITY,
         elements=elements,
-        curvature=share * _rest_curvature(p.curl, p.fibres, elements, rng),
+        curvature=share * _rest_curvature(p.curl, p.fibres, coefficients, rng),
         damping=DAMPING,
         free=free,
+        basis=CLOTHOID if p.model == "clothoid" else HELIX,
     )
 
 
@@ -276,7 +279,7 @@ SCENES: Mapping[str, Parameters] = {_name(p): p for p in _RUNS}
 
 
 def build(scene: str | Parameters) -> Scene:
-    """Build a scene from parameters or by its name; `NAME@discrete` is the same scene with discrete rods.
+    """Build a scene from parameters or by its name; `NAME@MODEL` is the same scene with other rods.
 
     Raises `SceneError` listing what is known.
     """
