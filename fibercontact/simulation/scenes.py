@@ -126,7 +126,20 @@ def wisp(p: Parameters, rng: np.random.Generator) -> Scene:
 
 def head(p: Parameters, rng: np.random.Generator) -> Scene:
     """Hair on the upper part of a sphere that is shaken sideways and nods."""
-    radius = 0.05
+    return _hair(p, rng, head, 0.05)
+
+
+def scalp(p: Parameters, rng: np.random.Generator) -> Scene:
+    """Hair on a head of full size, for up to thousands of fibres, that is shaken sideways and nods."""
+    return _hair(p, rng, scalp, 0.1)
+
+
+def _hair(
+    p: Parameters,
+    rng: np.random.Generator,
+    kind: Callable[[Parameters, np.random.Generator], Scene],
+    radius: float,
+) -> Scene:
     golden = math.pi * (3 - math.sqrt(5))
     height = 1 - (np.arange(p.fibres) + 0.5) / p.fibres * 0.7
     turn = golden * np.arange(p.fibres)
@@ -141,7 +154,7 @@ def head(p: Parameters, rng: np.random.Generator) -> Scene:
 
     body = Body(np.zeros(3), shake, [Sphere(np.zeros(3), radius)])
     frames = _frames(normals + 0.1 * rng.standard_normal(normals.shape), rng)
-    return _scene(p, head, rods, radius * normals, frames, [body], dt=4e-3, steps=200, skip_root=4e-3)
+    return _scene(p, kind, rods, radius * normals, frames, [body], dt=4e-3, steps=200, skip_root=4e-3)
 
 
 def _dropped(p: Parameters, rng: np.random.Generator, spread: float, low: float) -> tuple[Rods, Array, Array]:
@@ -250,7 +263,7 @@ def _name(p: Parameters) -> str:
 
 
 KINDS: Mapping[str, Callable[[Parameters, np.random.Generator], Scene]] = {
-    kind.__name__: kind for kind in (wisp, head, plane, cylinder, twist, comb)
+    kind.__name__: kind for kind in (wisp, head, plane, cylinder, twist, comb, scalp)
 }
 
 _RUNS = (
