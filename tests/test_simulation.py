@@ -15,8 +15,8 @@ from fibercontact.problem.measure import measure
 from fibercontact.rods.dynamics import energy
 from fibercontact.rods.model import circular_rods, rest_state
 from fibercontact.simulation import corpus
-from fibercontact.simulation.scene import Body, Motion, Scene
-from fibercontact.simulation.scenes import KINDS, SCENES, Parameters, SceneError, build
+from fibercontact.simulation.scene import Body, Motion, Scene, SceneError
+from fibercontact.simulation.scenes import KINDS, SCENES, Parameters, build
 from fibercontact.simulation.step import SimulationError, simulate
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -15,8 +15,8 @@ import numpy as np
 from fibercontact.problem.fclib import Solution, write
 from fibercontact.problem.step import StepProblem
 from fibercontact.rods.interface import rod_model
-from fibercontact.simulation.scene import Scene
-from fibercontact.simulation.scenes import SCENES, SceneError, build
+from fibercontact.simulation.scene import Scene, SceneError
+from fibercontact.simulation.scenes import SCENES, build
 from fibercontact.simulation.step import Step, simulate
 
 __all__ = ["COLUMNS", "CORPUS", "PER_SCENE", "dump_corpus", "dump_scene", "evenly_spaced", "write_manifest"]

@@ -8,11 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fibercontact.contact.obstacles import Obstacle
+from fibercontact.errors import UserError
 from fibercontact.rods.interface import AnyRods, AnyState
 
-__all__ = ["STILL", "Body", "Motion", "Scene", "earth"]
+__all__ = ["STILL", "Body", "Motion", "Scene", "SceneError", "earth"]
 
 Array = NDArray[np.float64]
+
+
+class SceneError(UserError):
+    """A scene that is not known or cannot be built; the message says why."""
 
 
 class Motion(NamedTuple):
