@@ -105,7 +105,7 @@ def head(p: Parameters, rng: np.random.Generator) -> Scene:
 def _dropped(p: Parameters, rng: np.random.Generator, spread: float, low: float) -> tuple[Rods, Array, Array]:
     """Free level rods, one a layer, from the height `low` upwards."""
     rods = _rods(p, 0.1, rng, free=True)
-    roots, tangents = level(rods.length, spread, low, rng)
+    roots, tangents = level(rods.length, spread, low, 1.5e-3, rng)
     return rods, roots, turned_frames(tangents, rng)
 
 

@@ -68,12 +68,14 @@ def cap(count: int, share: float = 0.7) -> Array:
     return np.column_stack([ring * np.cos(turn), ring * np.sin(turn), height])
 
 
-def level(length: Array, spread: float, low: float, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Roots and tangents (R, 3) of level straight fibres, 1.5 mm one above the other from the height `low` up."""
+def level(
+    length: Array, spread: float, low: float, spacing: float, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Roots and tangents (R, 3) of level straight fibres, one above the other from the height `low` upwards."""
     count = len(length)
     angle = rng.uniform(0, 2 * math.pi, count)
     tangents = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(count)])
-    middle = np.column_stack([rng.uniform(-spread, spread, (count, 2)), low + 1.5e-3 * np.arange(count)])
+    middle = np.column_stack([rng.uniform(-spread, spread, (count, 2)), low + spacing * np.arange(count)])
     return middle - 0.5 * length[:, None] * tangents, tangents
 
 
@@ -89,13 +91,19 @@ def turned_frames(tangents: Array, rng: np.random.Generator) -> Array:
 
 
 def begin(
-    model: str, rods: Rods, roots: Array, frames: Array, *, natural: bool = False, edges: int = EDGES
+    model: str,
+    rods: Rods,
+    roots: Array,
+    frames: Array,
+    *,
+    natural: bool | NDArray[np.bool_] = False,
+    edges: int = EDGES,
 ) -> tuple[AnyRods, AnyState]:
-    """The rods as a model has them, at rest: straight, or in their natural shape."""
+    """The rods as a model has them, at rest: straight, or in their natural shape; `natural` may say so rod by rod."""
     if model not in MODELS:
         raise SceneError(f"unknown rod model {model!r} (known: {', '.join(MODELS)})")
+    share = np.broadcast_to(natural, len(rods.length))[:, None, None]
     if model == "discrete":
         discrete = discretise(rods, edges)
-        return discrete, discrete_state(discrete, roots, frames, curvature=None if natural else 0.0)
-    state = rest_state(rods, roots, frames)
-    return rods, state if natural else state._replace(q=np.zeros_like(rods.q_rest))
+        return discrete, discrete_state(discrete, roots, frames, curvature=share * discrete.rest_curvature)
+    return rods, rest_state(rods, roots, frames)._replace(q=share * rods.q_rest)
