@@ -165,7 +165,7 @@ def test_scenes_that_are_not(parameters, message):
 
 
 def test_the_corpus_has_306_problems_by_its_rule():
-    assert len(SCENES) * corpus.PER_SCENE == 306
+    assert len(corpus.CORE.scenes) * corpus.CORE.per_scene == 306
     assert {p.kind for p in SCENES.values()} == set(KINDS)
     frictions = sorted({p.mu for p in SCENES.values()})
     assert frictions[0] == 0.0
@@ -206,6 +206,26 @@ def test_too_few_eligible_steps_is_an_error(tmp_path):
     scene = replace(build("wisp-straight-19-mu0.3"), steps=3)
     with pytest.raises(SceneError, match=r"wisp-straight-19-mu0.3: only \d eligible steps, 17 are needed"):
         corpus.dump_scene(scene, tmp_path)
+
+
+def test_a_set_is_written_scene_by_scene_with_one_manifest(tmp_path):
+    scenes = [Parameters("wisp", 7, "curly", mu, mu, 1) for mu in (0.1, 0.7)]
+    problems = corpus.ProblemSet("small", scenes, per_scene=2, fewest=1, most=500)
+    written = dict(corpus.dump_set(problems, tmp_path))
+    assert list(written) == [build(p).name for p in scenes]
+    with (tmp_path / "manifest.csv").open() as stream:
+        files = [row["file"] for row in csv.DictReader(stream)]
+    assert files == [row["file"] for rows in written.values() for row in rows]
+    assert len(files) == len(set(files)) == 4
+
+
+def test_a_run_taken_up_in_the_middle_is_the_run():
+    scene = replace(build(Parameters("twist", 12, "wavy", 0.3, 0.3, 1)), steps=9)
+    steps = list(simulate(scene))
+    for one, other in zip(steps[5:], simulate(scene, steps[4].world, 5), strict=True):
+        assert one.index == other.index
+        np.testing.assert_array_equal(one.world.state.q, other.world.state.q)
+        np.testing.assert_array_equal(one.world.impulses, other.world.impulses)
 
 
 def test_steps_come_one_by_one():

@@ -79,12 +79,13 @@ def dump(
         if scene == "list":
             _list_scenes()
             return
-        from fibercontact.simulation.corpus import CORPUS, dump_corpus, dump_scene, write_manifest
-        from fibercontact.simulation.scenes import SCENES, build
+        from fibercontact.simulation.corpus import SETS, dump_scene, dump_set, write_manifest
+        from fibercontact.simulation.scenes import build
 
-        if scene == CORPUS:
-            with _progress(CORPUS, sum(build(name).steps for name in SCENES)) as show:
-                total = sum(len(rows) for _, rows in dump_corpus(out, lambda _, step: show(step)))
+        if scene in SETS:
+            problems = SETS[scene]
+            with _progress(scene, sum(build(p).steps for p in problems.scenes)) as show:
+                total = sum(len(rows) for _, rows in dump_set(problems, out, lambda _, step: show(step)))
         else:
             built = build(scene)
             with _progress(scene, built.steps) as show:

@@ -1,14 +1,15 @@
-"""The corpus: which steps of the scenes become problems, and how they are written.
+"""Sets of problems: which steps of which scenes become problems, and how they are written.
 
-The rule, fixed before any local solver was run on the problems: of each scene, the steps with 20 to 3000
-contacts are eligible; 17 of them are taken, evenly spaced in the order of time, the first and the last
-included. Eighteen scenes give 306 problems.
+The rule of `core306`, fixed before any local solver was run on the problems: of each scene, the steps with 20 to
+3000 contacts are eligible; 17 of them are taken, evenly spaced in the order of time, the first and the last
+included. Eighteen scenes give 306 problems. Other sets have other scenes and numbers.
 """
 
 import csv
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,14 +17,36 @@ from fibercontact.problem.fclib import Solution, write
 from fibercontact.problem.step import StepProblem
 from fibercontact.rods.interface import rod_model
 from fibercontact.simulation.scene import Scene, SceneError
-from fibercontact.simulation.scenes import SCENES, build
-from fibercontact.simulation.step import Step, simulate
+from fibercontact.simulation.scenes import SCENES, Parameters, build
+from fibercontact.simulation.step import Step, World, simulate, start
 
-__all__ = ["COLUMNS", "CORPUS", "PER_SCENE", "dump_corpus", "dump_scene", "evenly_spaced", "write_manifest"]
+__all__ = [
+    "COLUMNS",
+    "CORE",
+    "SETS",
+    "ProblemSet",
+    "dump_scene",
+    "dump_set",
+    "evenly_spaced",
+    "write_manifest",
+]
 
-CORPUS = "core306"
-PER_SCENE = 17
-FEWEST, MOST = 20, 3000  # contacts
+
+class ProblemSet(NamedTuple):
+    """A set of problems: `per_scene` steps of each scene, of those with `fewest` to `most` contacts."""
+
+    name: str
+    scenes: Sequence[Parameters]
+    per_scene: int
+    fewest: int
+    most: int
+
+
+CORE = ProblemSet("core306", tuple(SCENES.values()), per_scene=17, fewest=20, most=3000)
+
+SETS = {problems.name: problems for problems in (CORE,)}
+"""The sets by name."""
+
 COLUMNS = ("file", "scene", "step", "contacts", "dofs", "mu_min", "mu_max", "bytes", "hash")
 """Columns of the manifest; `hash` is the SHA-256 of the file."""
 
@@ -46,41 +69,53 @@ def dump_scene(
     scene: Scene,
     folder: Path,
     *,
-    count: int = PER_SCENE,
-    fewest: int = FEWEST,
-    most: int = MOST,
+    count: int = CORE.per_scene,
+    fewest: int = CORE.fewest,
+    most: int = CORE.most,
     progress: Callable[[Step], None] = lambda step: None,
 ) -> list[Row]:
     """Run a scene and write `count` of its problems as FCLIB files; returns their manifest rows.
 
-    Raises `SceneError` when fewer steps than that have `fewest` to `most` contacts.
+    Which steps they are is known at the end only. Until then the worlds before the eligible steps are kept,
+    far smaller than the problems, and the chosen steps are taken again. Raises `SceneError` when fewer steps
+    than `count` have `fewest` to `most` contacts.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    steps: dict[int, Step] = {}
+    before: dict[int, World] = {}
+    world = start(scene)
     for step in simulate(scene):
         progress(step)
         if step.problem is not None and fewest <= step.problem.n <= most:
-            steps[step.index] = step
+            before[step.index] = world
+        world = step.world
     try:
-        chosen = evenly_spaced(list(steps), count)
+        chosen = evenly_spaced(list(before), count)
     except SceneError as error:
         raise SceneError(f"{scene.name}: {error} with {fewest} to {most} contacts") from None
-    return [_write_step(scene, steps[index], folder) for index in chosen]
+    again = (next(simulate(scene, before[index], index)) for index in chosen)
+    return [_write_step(scene, step, folder) for step in again]
 
 
-def dump_corpus(
-    folder: Path, progress: Callable[[str, Step], None] = lambda scene, step: None
+def dump_set(
+    problems: ProblemSet, folder: Path, progress: Callable[[str, Step], None] = lambda scene, step: None
 ) -> Iterator[tuple[str, list[Row]]]:
-    """Write the corpus scene by scene, yielding each scene's manifest rows; its manifest comes last."""
+    """Write a set scene by scene, yielding each scene's name and manifest rows; its manifest comes last."""
     rows: list[Row] = []
-    for name in SCENES:
+    for scene in map(build, problems.scenes):
 
-        def of_scene(step: Step, name: str = name) -> None:
+        def of_scene(step: Step, name: str = scene.name) -> None:
             progress(name, step)
 
-        new = dump_scene(build(name), folder, progress=of_scene)
+        new = dump_scene(
+            scene,
+            folder,
+            count=problems.per_scene,
+            fewest=problems.fewest,
+            most=problems.most,
+            progress=of_scene,
+        )
         rows += new
-        yield name, new
+        yield scene.name, new
     write_manifest(folder, rows)
 
 

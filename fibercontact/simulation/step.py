@@ -64,8 +64,11 @@ def start(scene: Scene) -> World:
     return World(0.0, scene.state, tuple(scene.bodies))
 
 
-def simulate(scene: Scene) -> Iterator[Step]:
-    """Run a scene step by step. The same scene gives the same steps, bit for bit, on the same machine."""
+def simulate(scene: Scene, world: World | None = None, first: int = 0) -> Iterator[Step]:
+    """Run a scene step by step, from its start or from the `world` before the step `first`.
+
+    The same scene gives the same steps, bit for bit, on the same machine, wherever it is taken up.
+    """
     solver = GaussSeidel(
         configure("secular", registered()),
         tolerance=scene.tolerance,
@@ -73,8 +76,8 @@ def simulate(scene: Scene) -> Iterator[Step]:
         proximal=0.05,
         acceleration=Acceleration(),
     )
-    world = start(scene)
-    for index in range(scene.steps):
+    world = world or start(scene)
+    for index in range(first, scene.steps):
         step = take_step(scene, solver, world, index)
         yield step
         world = step.world
