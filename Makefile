@@ -18,7 +18,7 @@ lint: $(VENV)/.installed
 	$(BIN)/mypy
 
 corpus: $(VENV)/.installed  ## the problems of core306, from the scenes, into build/core306
-	$(BIN)/fibercontact dump core306 --out build/core306
+	$(BIN)/fibercontact corpus build core306 --out build/core306
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or later is needed")'

@@ -35,8 +35,8 @@ from fibercontact.rods.discrete_step import (
     implicit_step,
 )
 from fibercontact.simulation import corpus
-from fibercontact.simulation.scene import Body, Motion, Scene
-from fibercontact.simulation.scenes import Parameters, SceneError, build
+from fibercontact.simulation.scene import Body, Motion, Scene, SceneError
+from fibercontact.simulation.scenes import Parameters, build
 from fibercontact.simulation.step import simulate
 
 LENGTH, RADIUS, YOUNG, DENSITY, POISSON = 0.4, 2e-3, 1e8, 1200.0, 0.4
@@ -673,5 +673,5 @@ def test_bad_arguments_are_errors():
         begin(rods, state, None, DOWN, 0.0)
     with pytest.raises(RuntimeError, match="not converged in 1 iterations"):
         implicit_step(rods, state, None, DOWN, 1e-2, iterations=1)
-    with pytest.raises(SceneError, match=r"unknown rod model 'spline' \(known: helix, discrete\)"):
+    with pytest.raises(SceneError, match=r"unknown rod model 'spline' \(known: helix, clothoid, discrete\)"):
         build("wisp-straight-19-mu0.3@spline")

@@ -10,9 +10,11 @@ import typer
 import fibercontact
 from fibercontact.cli import (
     check,
+    corpus,
     explain,
     info,
     level1,
+    new_scene,
     new_solver,
     reference,
     simulate,
@@ -39,7 +41,8 @@ app.command("solvers")(solvers.solvers)
 app.command("check")(check.check)
 app.command("new-solver")(new_solver.new_solver)
 app.command("simulate")(simulate.simulate)
-app.command("dump")(simulate.dump)
+app.command("new-scene")(new_scene.new_scene)
+app.add_typer(corpus.corpus, name="corpus")
 app.command("harvest")(level1.harvest)
 app.command("reference")(reference.reference)
 app.command("validate")(validate.validate)

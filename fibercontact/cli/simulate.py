@@ -1,5 +1,6 @@
-"""`fibercontact simulate` and `fibercontact dump`: run a scene, and write its problems."""
+"""`fibercontact simulate`: run a scene, look at it, and write its problems."""
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,11 +11,17 @@ import typer
 from fibercontact.cli.errors import user_errors
 
 if TYPE_CHECKING:
+    from fibercontact.simulation.scene import Scene
     from fibercontact.simulation.step import Step
 
-__all__ = ["dump", "simulate"]
+__all__ = ["SCENE_HELP", "progress_of", "simulate"]
 
-SCENE_HELP = "Name of a scene; `list` lists them. NAME@clothoid, NAME@discrete: with other rods."
+SCENE_HELP = (
+    "A scene: one of those that `list` lists, or a TOML or Python file. With @clothoid or @discrete behind it: with "
+    "other rods."
+)
+PROBLEMS = "problems"
+"""Folder of the problems, in that of the run."""
 
 
 def simulate(
@@ -23,15 +30,30 @@ def simulate(
         int | None, typer.Option(help="Steps to run; all of the scene's by default.", min=1)
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for steps.csv and a picture of the last step.")
+        Path | None,
+        typer.Option(help="Folder for steps.csv, a picture of the last step, and the problems."),
     ] = None,
+    dump: Annotated[
+        str | None,
+        typer.Option(
+            metavar="every=K",
+            help="Write every K-th step as a problem (FCLIB) into OUT/problems, with a manifest.",
+        ),
+    ] = None,
+    min_contacts: Annotated[
+        int, typer.Option(help="Fewest contacts of a problem that is written.", min=1)
+    ] = 20,
+    max_contacts: Annotated[
+        int, typer.Option(help="Most contacts of a problem that is written.", min=1)
+    ] = 1_000_000,
 ) -> None:
     """Run a scene: rods, contact, friction.
 
     Prints what happened; with --out also writes one row a step (contacts, sweeps, residual, energy, seconds)
-    and a picture of the last step. Ctrl-C keeps what was run.
+    and a picture of the last step. Ctrl-C keeps what was run. docs/scenes.md says how to write your own scene;
+    `fibercontact new-scene` writes one to start from.
 
-    Example: fibercontact simulate twist-wavy-48-mu0.4 --steps 100 --out runs/twist
+    Example: fibercontact simulate my_scene.toml --dump every=10 --min-contacts 50 --out runs/mine
     """
     with user_errors():
         if scene == "list":
@@ -40,17 +62,22 @@ def simulate(
         from dataclasses import replace
 
         from fibercontact.simulation.record import Recorder
-        from fibercontact.simulation.scenes import build
+        from fibercontact.simulation.scene_file import open_scene
         from fibercontact.simulation.step import simulate as run
 
-        built = build(scene)
+        every = _every(dump)
+        built = open_scene(scene)
         built = replace(built, steps=min(steps or built.steps, built.steps))
+        if every and out is None:
+            out = Path("runs") / built.name
         recorder = Recorder(built)
+        write = _writer(built, out, every, min_contacts, max_contacts)
         interrupted = False
         try:
-            with _progress(scene, built.steps) as show:
+            with progress_of(built.name, built.steps) as show:
                 for step in run(built):
                     recorder.add(step)
+                    write(step)
                     show(step)
         except KeyboardInterrupt:
             interrupted = True
@@ -59,42 +86,38 @@ def simulate(
                 recorder.write(out)
                 typer.echo(f"wrote {out / 'steps.csv'} and {out / 'last.png'}")
         typer.echo(recorder.summary())
+        if every and out is not None:
+            _say_problems(out / PROBLEMS)
     raise typer.Exit(130 if interrupted else 0)
 
 
-def dump(
-    scene: Annotated[str, typer.Argument(metavar="SCENE", help=SCENE_HELP + " `core306`: the whole corpus.")],
-    out: Annotated[Path, typer.Option(help="Folder that the problems and their manifest go to.")],
-    count: Annotated[
-        int, typer.Option(help="Problems taken, evenly spaced among the eligible steps.", min=1)
-    ] = 17,
-    min_contacts: Annotated[int, typer.Option(help="Fewest contacts of an eligible step.", min=1)] = 20,
-    max_contacts: Annotated[int, typer.Option(help="Most contacts of an eligible step.", min=1)] = 3000,
-) -> None:
-    """Write incremental problems of a scene as FCLIB files, with their starting guesses and a manifest.
+def _every(dump: str | None) -> int:
+    """The K of `every=K`; 0 when no problems are asked for."""
+    from fibercontact.simulation.scene import SceneError
 
-    Example: fibercontact dump comb-wavy-61-mu0.5 --count 5 --out my_set
-    """
-    with user_errors():
-        if scene == "list":
-            _list_scenes()
-            return
-        from fibercontact.simulation.corpus import SETS, dump_scene, dump_set, write_manifest
-        from fibercontact.simulation.scenes import build
+    if dump is None:
+        return 0
+    if not (found := re.fullmatch(r"every=([1-9]\d*)", dump)):
+        raise SceneError(f"--dump {dump}: write every=K, for instance --dump every=10")
+    return int(found[1])
 
-        if scene in SETS:
-            problems = SETS[scene]
-            with _progress(scene, sum(build(p).steps for p in problems.scenes)) as show:
-                total = sum(len(rows) for _, rows in dump_set(problems, out, lambda _, step: show(step)))
-        else:
-            built = build(scene)
-            with _progress(scene, built.steps) as show:
-                rows = dump_scene(
-                    built, out, count=count, fewest=min_contacts, most=max_contacts, progress=show
-                )
-            write_manifest(out, rows)
-            total = len(rows)
-        typer.echo(f"wrote {total} problems and manifest.csv to {out}")
+
+def _writer(scene: "Scene", out: Path | None, every: int, fewest: int, most: int) -> "Callable[[Step], None]":
+    """What writes the problems of the steps, if any."""
+    from fibercontact.simulation.corpus import Dump
+
+    if not every or out is None:
+        return lambda step: None
+    return Dump(scene, out / PROBLEMS, every, fewest, most).add
+
+
+def _say_problems(folder: Path) -> None:
+    count = len(list(folder.glob("*.hdf5")))
+    typer.echo(
+        f"wrote {count} problems to {folder}" + ("" if count else ": no such step had as many contacts")
+    )
+    if count:
+        typer.echo(f"  fibercontact table --set {folder}")
 
 
 def _list_scenes() -> None:
@@ -106,7 +129,7 @@ def _list_scenes() -> None:
 
 
 @contextmanager
-def _progress(title: str, steps: int) -> Iterator[Callable[["Step"], None]]:
+def progress_of(title: str, steps: int) -> "Iterator[Callable[[Step], None]]":
     """A bar over the steps, with the contacts of the last one."""
     from rich.console import Console
     from rich.progress import Progress

@@ -16,14 +16,16 @@ import numpy as np
 from fibercontact.problem.fclib import Solution, write
 from fibercontact.problem.step import StepProblem
 from fibercontact.rods.interface import rod_model
-from fibercontact.simulation.scene import Scene
-from fibercontact.simulation.scenes import SCENES, Parameters, SceneError, build
+from fibercontact.simulation.scene import Scene, SceneError
+from fibercontact.simulation.scenes import SCENES, Parameters, build
 from fibercontact.simulation.step import Step, World, simulate, start
+from fibercontact.simulation.strands import MODELS
 
 __all__ = [
     "COLUMNS",
     "CORE",
     "SETS",
+    "Dump",
     "ProblemSet",
     "dump_scene",
     "dump_set",
@@ -44,7 +46,20 @@ class ProblemSet(NamedTuple):
 
 CORE = ProblemSet("core306", tuple(SCENES.values()), per_scene=17, fewest=20, most=3000)
 
-SETS = {problems.name: problems for problems in (CORE,)}
+RODS = ProblemSet(
+    "rods102",
+    tuple(
+        Parameters(*scene, model=model)
+        for model in MODELS
+        for scene in (("twist", 48, "mixed", 0.5, 0.5, 21), ("cylinder", 40, "curly", 0.3, 0.3, 22))
+    ),
+    per_scene=17,
+    fewest=20,
+    most=3000,
+)
+"""The same two scenes, one of clamped and one of free fibres, with each of the three rod models."""
+
+SETS = {problems.name: problems for problems in (CORE, RODS)}
 """The sets by name."""
 
 COLUMNS = ("file", "scene", "step", "contacts", "dofs", "mu_min", "mu_max", "bytes", "hash")
@@ -117,6 +132,30 @@ def dump_set(
         rows += new
         yield scene.name, new
     write_manifest(folder, rows)
+
+
+class Dump:
+    """Writes every so-manieth step of a run as a problem, as the run goes on, and a manifest after each.
+
+    Steps with fewer than `fewest` or more than `most` contacts are left out. Raises `SceneError` when the folder
+    has problems already.
+    """
+
+    def __init__(self, scene: Scene, folder: Path, every: int, fewest: int, most: int) -> None:
+        if folder.is_dir() and any(folder.glob("*.hdf5")):
+            raise SceneError(f"{folder}: has problems already; name another folder")
+        folder.mkdir(parents=True, exist_ok=True)
+        self.scene, self.folder = scene, folder
+        self.every, self.fewest, self.most = every, fewest, most
+        self.rows: list[Row] = []
+
+    def add(self, step: Step) -> None:
+        """Write the problem of a step if it is one of those asked for."""
+        if step.problem is None or step.index % self.every:
+            return
+        if self.fewest <= step.problem.n <= self.most:
+            self.rows.append(_write_step(self.scene, step, self.folder))
+            write_manifest(self.folder, self.rows)
 
 
 def write_manifest(folder: Path, rows: Sequence[Row]) -> None:

@@ -8,11 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fibercontact.contact.obstacles import Obstacle
+from fibercontact.errors import UserError
 from fibercontact.rods.interface import AnyRods, AnyState
 
-__all__ = ["STILL", "Body", "Motion", "Scene", "earth"]
+__all__ = ["STILL", "Body", "Motion", "Scene", "SceneError", "earth"]
 
 Array = NDArray[np.float64]
+
+
+class SceneError(UserError):
+    """A scene that is not known or cannot be built; the message says why."""
 
 
 class Motion(NamedTuple):
@@ -46,7 +51,7 @@ class Scene:
     `carrier` (R,) is the body that each clamped root is fixed to. `gravity` is a function of time. Contacts
     between fibres have the friction `mu_fibres`, those with obstacles `mu_obstacles`. The polylines of contact
     detection have `segments` segments, or are the edges of discrete rods; `margin` and `skip_root` are those
-    of `contact.detect`.
+    of `contact.detect`. Raises `SceneError` naming what does not fit.
     """
 
     name: str
@@ -65,3 +70,21 @@ class Scene:
     skip_root: float = 0.0
     tolerance: float = 1e-4
     max_sweeps: int = 1000
+
+    def __post_init__(self) -> None:
+        R = len(self.rods.length)
+        _require(bool(self.bodies), "bodies: there is none, not even one at rest for the roots")
+        _require(
+            np.shape(self.carrier) == (R,) and bool(np.isin(self.carrier, range(len(self.bodies))).all()),
+            f"carrier: needs the index of one of the {len(self.bodies)} bodies for each of the {R} rods",
+        )
+        _require(self.dt > 0 and np.isfinite(self.dt), f"dt: must be positive, not {self.dt!r}")
+        _require(self.steps >= 1, f"steps: must be at least 1, not {self.steps!r}")
+        for name in ("mu_fibres", "mu_obstacles", "margin", "skip_root"):
+            value = getattr(self, name)
+            _require(value >= 0 and np.isfinite(value), f"{name}: must not be negative, not {value!r}")
+
+
+def _require(condition: bool, message: str) -> None:
+    if not condition:
+        raise SceneError(message)

@@ -14,14 +14,20 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fibercontact.contact.obstacles import Cylinder, Plane, Sphere
-from fibercontact.errors import UserError
-from fibercontact.rods.basis import CLOTHOID, HELIX
-from fibercontact.rods.discrete_model import discrete_state, discretise
-from fibercontact.rods.interface import AnyRods, AnyState
-from fibercontact.rods.model import Rods, circular_rods, rest_state
-from fibercontact.simulation.scene import Body, Motion, Scene, earth
+from fibercontact.rods.model import Rods, circular_rods
+from fibercontact.simulation.scene import Body, Motion, Scene, SceneError, earth
+from fibercontact.simulation.strands import (
+    basis_of,
+    begin,
+    cap,
+    coefficients,
+    curled,
+    hexagonal,
+    level,
+    turned_frames,
+)
 
-__all__ = ["KINDS", "MODELS", "SCENES", "Parameters", "SceneError", "build"]
+__all__ = ["KINDS", "SCENES", "Parameters", "build"]
 
 Array = NDArray[np.float64]
 
@@ -29,13 +35,7 @@ RADIUS = 0.5e-3  # m
 YOUNG = 3e7  # Pa
 DENSITY = 1000.0  # kg/m³
 DAMPING = 0.02  # s
-EDGES = 20  # of discrete rods
-MODELS = ("helix", "clothoid", "discrete")
 DOWN = np.array([0.0, 0.0, -1.0])
-
-
-class SceneError(UserError):
-    """A scene that is not known or cannot be built; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -51,26 +51,9 @@ class Parameters:
     model: str = "helix"  # of the rods, see MODELS
 
 
-def _rest_curvature(curl: str, fibres: int, coefficients: int, rng: np.random.Generator) -> Array:
-    """Rest curvatures (R, coefficients, 3): none, alternating bends, or a helix; `mixed` draws one of them a fibre."""
-    kinds = {"straight": 0, "wavy": 1, "curly": 2}
-    if curl != "mixed" and curl not in kinds:
-        raise SceneError(f"unknown curl {curl!r} (known: {', '.join(kinds)}, mixed)")
-    kind = rng.integers(0, 3, fibres) if curl == "mixed" else np.full(fibres, kinds[curl])
-    q = np.zeros((fibres, coefficients, 3))
-    size = rng.uniform(0.7, 1.3, fibres)[:, None]
-    sign = (-1.0) ** np.arange(coefficients)
-    wavy, curly = kind == 1, kind == 2
-    q[wavy, :, 1] = 20.0 * size[wavy] * sign
-    q[curly, :, 1] = 30.0 * size[curly]
-    q[curly, :, 0] = 15.0 * size[curly]
-    return q
-
-
 def _rods(p: Parameters, length: float, rng: np.random.Generator, free: bool = False) -> Rods:
     """Strands of the scene; free ones have fewer elements, and curl less or they would fling themselves away."""
     elements, share = (4, 0.2) if free else (5, 1.0)
-    coefficients = elements + (p.model == "clothoid")
     return circular_rods(
         length=length * rng.uniform(0.9, 1.1, p.fibres),
         radius=RADIUS,
@@ -78,38 +61,17 @@ def _rods(p: Parameters, length: float, rng: np.random.Generator, free: bool = F
         poisson=0.5,
         density=DENSITY,
         elements=elements,
-        curvature=share * _rest_curvature(p.curl, p.fibres, coefficients, rng),
+        curvature=share * curled(p.curl, p.fibres, coefficients(p.model, elements), rng),
         damping=DAMPING,
         free=free,
-        basis=CLOTHOID if p.model == "clothoid" else HELIX,
+        basis=basis_of(p.model),
     )
-
-
-def _frames(tangents: Array, rng: np.random.Generator) -> Array:
-    """Frames (R, 3, 3) with the given tangents (R, 3) and a random turn about them."""
-    frames = np.empty((len(tangents), 3, 3))
-    for frame, tangent in zip(frames, tangents, strict=True):
-        t = tangent / np.linalg.norm(tangent)
-        across = np.cross(t, np.eye(3)[np.argmin(np.abs(t))])
-        n1 = Rotation.from_rotvec(rng.uniform(0, 2 * math.pi) * t).apply(across / np.linalg.norm(across))
-        frame[:] = np.column_stack([t, n1, np.cross(t, n1)])
-    return frames
-
-
-def _hexagonal(count: int, spacing: float) -> Array:
-    """The `count` points (count, 2) of a hexagonal lattice that are nearest to its origin."""
-    reach = math.ceil(math.sqrt(count)) + 2
-    i, j = (x.ravel() for x in np.mgrid[-reach : reach + 1, -reach : reach + 1])
-    points = spacing * np.column_stack([i + 0.5 * j, math.sqrt(0.75) * j])
-    return points[np.lexsort((points[:, 1], points[:, 0], np.round(np.linalg.norm(points, axis=1), 9)))][
-        :count
-    ]
 
 
 def _hanging(count: int, spacing: float, rng: np.random.Generator) -> tuple[Array, Array]:
     """Roots (count, 3) of a bundle packed round the origin, and frames that point down."""
-    roots = np.column_stack([_hexagonal(count, spacing), np.zeros(count)])
-    return roots, _frames(np.tile(DOWN, (count, 1)), rng)
+    roots = np.column_stack([hexagonal(count, spacing), np.zeros(count)])
+    return roots, turned_frames(np.tile(DOWN, (count, 1)), rng)
 
 
 def wisp(p: Parameters, rng: np.random.Generator) -> Scene:
@@ -140,11 +102,7 @@ def _hair(
     kind: Callable[[Parameters, np.random.Generator], Scene],
     radius: float,
 ) -> Scene:
-    golden = math.pi * (3 - math.sqrt(5))
-    height = 1 - (np.arange(p.fibres) + 0.5) / p.fibres * 0.7
-    turn = golden * np.arange(p.fibres)
-    ring = np.sqrt(1 - height**2)
-    normals = np.column_stack([ring * np.cos(turn), ring * np.sin(turn), height])
+    normals = cap(p.fibres)
     rods = _rods(p, 0.18, rng)
 
     def shake(time: float) -> Motion:
@@ -153,19 +111,15 @@ def _hair(
         return Motion(np.array([sideways, 0.0, 0.0]), np.array([0.0, 2.0 * math.sin(0.7 * rate * time), 0.0]))
 
     body = Body(np.zeros(3), shake, [Sphere(np.zeros(3), radius)])
-    frames = _frames(normals + 0.1 * rng.standard_normal(normals.shape), rng)
+    frames = turned_frames(normals + 0.1 * rng.standard_normal(normals.shape), rng)
     return _scene(p, kind, rods, radius * normals, frames, [body], dt=4e-3, steps=200, skip_root=4e-3)
 
 
 def _dropped(p: Parameters, rng: np.random.Generator, spread: float, low: float) -> tuple[Rods, Array, Array]:
     """Free level rods, one a layer, from the height `low` upwards."""
     rods = _rods(p, 0.1, rng, free=True)
-    angle = rng.uniform(0, 2 * math.pi, p.fibres)
-    tangents = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(p.fibres)])
-    middle = np.column_stack(
-        [rng.uniform(-spread, spread, (p.fibres, 2)), low + 1.5e-3 * np.arange(p.fibres)]
-    )
-    return rods, middle - 0.5 * rods.length[:, None] * tangents, _frames(tangents, rng)
+    roots, tangents = level(rods.length, spread, low, 1.5e-3, rng)
+    return rods, roots, turned_frames(tangents, rng)
 
 
 def plane(p: Parameters, rng: np.random.Generator) -> Scene:
@@ -232,7 +186,7 @@ def _scene(
     gravity: Callable[[float], Array] = earth,
     skip_root: float = 2e-3,
 ) -> Scene:
-    modelled, state = _straight(p.model, rods, roots, frames)
+    modelled, state = begin(p.model, rods, roots, frames)
     return Scene(
         name=_name(p),
         description=(kind.__doc__ or "").strip(),
@@ -247,14 +201,6 @@ def _scene(
         gravity=gravity,
         skip_root=0.0 if rods.free else skip_root,
     )
-
-
-def _straight(model: str, rods: Rods, roots: Array, frames: Array) -> tuple[AnyRods, AnyState]:
-    """The rods as a model has them, straight and at rest."""
-    if model == "discrete":
-        discrete = discretise(rods, EDGES)
-        return discrete, discrete_state(discrete, roots, frames, curvature=0.0)
-    return rods, rest_state(rods, roots, frames)._replace(q=np.zeros_like(rods.q_rest))
 
 
 def _name(p: Parameters) -> str:
@@ -301,8 +247,6 @@ def build(scene: str | Parameters) -> Scene:
         if name not in SCENES:
             raise SceneError(f"unknown scene {name!r} (known: {', '.join(SCENES)})")
         scene = replace(SCENES[name], model=model or "helix")
-    if scene.model not in MODELS:
-        raise SceneError(f"unknown rod model {scene.model!r} (known: {', '.join(MODELS)})")
     if scene.kind not in KINDS:
         raise SceneError(f"unknown kind of scene {scene.kind!r} (known: {', '.join(KINDS)})")
     if scene.fibres < 2:
