@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fibercontact.rods.basis import element_count, shape, shapes
-from fibercontact.rods.model import Rods, RootMotion, State, dofs, still
+from fibercontact.rods.model import Rods, RootMotion, State, dofs, part, still
 from fibercontact.rods.motion import POINTS, Samples, sample
 from fibercontact.rods.quadrature import gauss
+from fibercontact.threads import over_ranges
 
 __all__ = [
     "Energy",
@@ -33,6 +34,8 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
+
+_RODS = 128  # whose samples, a few MB, are in the cache at once
 
 
 class Energy(NamedTuple):
@@ -54,7 +57,21 @@ def step_system(
     """
     if not dt > 0:
         raise ValueError(f"dt must be positive, not {dt}")
-    samples = sample(rods, state, root_motion or still(len(rods.length)))
+    R, D = state.v.shape
+    M, f, motion = np.empty((R, D, D)), np.empty((R, D)), root_motion or still(R)
+
+    def fill(first: int, end: int) -> None:
+        some = [part(whole, first, end) for whole in (rods, state, motion)]
+        M[first:end], f[first:end] = _step_system(some[0], some[1], some[2], gravity, dt)
+
+    over_ranges(fill, R, _RODS)
+    return M, f
+
+
+def _step_system(
+    rods: Rods, state: State, root_motion: RootMotion, gravity: Array, dt: float
+) -> tuple[Array, Array]:
+    samples = sample(rods, state, root_motion)
     inertia, K = _inertia(rods, samples), stiffness_matrix(rods)
     M = inertia + (dt * rods.damping + dt**2)[:, None, None] * K
     force = _load(rods, samples, gravity) - _elastic_force(rods, state, K)
