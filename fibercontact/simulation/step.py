@@ -184,8 +184,9 @@ def _contact_system(
     scene: Scene, rods: RodModel, rod_step: RodStep, contacts: Contacts, obstacles: list[Obstacle]
 ) -> ContactSystem:
     """The Jacobians of both sides of every contact, assembled; side B of an obstacle is not read."""
-    jacobian_a, drift_a = rod_step.contact_points(contacts.fibre_a, contacts.s_a)
-    jacobian_b, drift_b = rod_step.contact_points(np.maximum(contacts.fibre_b, 0), contacts.s_b)
+    both = np.concatenate([contacts.fibre_a, np.maximum(contacts.fibre_b, 0)])
+    jacobian, drift = rod_step.contact_points(both, np.concatenate([contacts.s_a, contacts.s_b]))
+    (jacobian_a, jacobian_b), (drift_a, drift_b) = (np.split(x, 2) for x in (jacobian, drift))
     of_obstacles = obstacle_drift(contacts, obstacles)
     drift_b = np.where(contacts.obstacle[:, None] < 0, drift_b, of_obstacles)
     system = assemble(
