@@ -15,6 +15,7 @@ from fibercontact.cli import (
     level1,
     new_solver,
     reference,
+    render,
     simulate,
     solve,
     solvers,
@@ -40,6 +41,7 @@ app.command("check")(check.check)
 app.command("new-solver")(new_solver.new_solver)
 app.command("simulate")(simulate.simulate)
 app.command("dump")(simulate.dump)
+app.command("render")(render.render)
 app.command("harvest")(level1.harvest)
 app.command("reference")(reference.reference)
 app.command("validate")(validate.validate)

@@ -64,7 +64,7 @@ class Raster:
     def _pixels(self, points: Array) -> tuple[Ints, Ints]:
         """The points (m, 3), along the camera's axes, that are in the window, and their pixels."""
         column, row = np.floor(self.camera.place(points)).astype(np.int64).T
-        inside = (0 <= column) & (column < self.camera.width) & (0 <= row) & (row < self.camera.height)
+        inside = (column >= 0) & (column < self.camera.width) & (row >= 0) & (row < self.camera.height)
         point = np.flatnonzero(inside)
         return point, row[point] * self.camera.width + column[point]
 

@@ -42,8 +42,10 @@ REGIMES = {
 
 
 def regimes(r: Array, mu: Array) -> Ints:
-    """Regimes (n,) of impulses `r` (3n,), as the sweeps count them: take-off without a normal impulse, stick in
-    the cone, slip at its boundary, which is all of it when mu = 0."""  # fmt: skip
+    """Regimes (n,) of impulses `r` (3n,), by the definition of the sweeps.
+
+    Take-off is without a normal impulse, stick strictly in the cone, slip at its boundary: all of it if mu = 0.
+    """
     return np.array([regime(tuple(x), m) for x, m in zip(r.reshape(-1, 3), mu, strict=True)], dtype=np.int64)
 
 
@@ -70,7 +72,9 @@ def show(scene: Scene, step: Step) -> Shown:
     world, contacts = step.world, step.contacts
     fibres = rod_model(scene.rods).centreline(world.state, POINTS)
     radius = np.broadcast_to(np.asarray(scene.rods.radius, dtype=float), (len(fibres),))
-    solved = step.run is not None and step.problem is not None and world.impulses is not None
+    regime, force = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
+    if step.run is not None and step.problem is not None and world.impulses is not None:
+        regime, force = regimes(step.run.r, step.problem.mu), world.impulses / scene.dt
     return Shown(
         index=step.index,
         time=world.time,
@@ -78,16 +82,16 @@ def show(scene: Scene, step: Step) -> Shown:
         radius=radius,
         obstacles=[obstacle for body in world.bodies for obstacle in body.obstacles],
         points=contact_points(fibres, scene.rods, contacts),
-        regime=regimes(step.run.r, step.problem.mu) if solved else np.zeros(0, dtype=np.int64),
-        force=world.impulses / scene.dt if solved else np.zeros((0, 3)),
+        regime=regime,
+        force=force,
     )
 
 
 def contact_points(fibres: Array, rods: AnyRods, contacts: Contacts) -> Array:
-    """Points (n, 3) halfway between the surfaces that touch, for polylines (R, P + 1, 3) of equal steps in arc-length.
+    """Points (n, 3) halfway between the surfaces that touch, for polylines (R, P + 1, 3).
 
-    Contacts are found at the beginning of a step: this is where the same material points are now. With an
-    obstacle it is the point of the fibre's surface.
+    Contacts are found at the beginning of a step: this is where the same material points are now, on polylines
+    of equal steps in arc-length. With an obstacle it is the point of the fibre's surface.
     """
     radius = np.broadcast_to(np.asarray(rods.radius, dtype=float), (len(fibres),))
     a, b = contacts.fibre_a, np.maximum(contacts.fibre_b, 0)

@@ -10,7 +10,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from fibercontact.simulation.pictures.camera import Camera, framed, view_axes
+from fibercontact.simulation.pictures.camera import TILT, TURN, Camera, framed, view_axes
 from fibercontact.simulation.pictures.raster import Raster
 from fibercontact.simulation.pictures.shown import REGIMES, Shown, corners, force_scale, show
 from fibercontact.simulation.scene import Scene
@@ -27,10 +27,12 @@ LETTERS = (9.0, 16.0)  # pixels, smallest and largest
 BAR = 0.2  # of the picture's width: a scale bar at most
 
 
-def draw(scene: Scene, step: Step, file: Path) -> None:
-    """Draw a step of a scene into a PNG file."""
+def draw(
+    scene: Scene, step: Step, file: Path, size: int = SIZE, turn: float = TURN, tilt: float = TILT
+) -> None:
+    """Draw a step of a scene into a PNG file, `size` pixels at the longer side of its picture."""
     shown = show(scene, step)
-    camera = framed(view_axes(), corners([shown]), SIZE)
+    camera = framed(view_axes(turn, tilt), corners([shown]), size)
     newton = force_scale([shown], camera.width / camera.scale)
     draw_shown(shown, camera, newton, caption(scene, shown)).savefig(file, dpi=DPI)
 
@@ -91,7 +93,7 @@ def _contacts(axes: Axes, shown: Shown, camera: Camera, newton: float) -> None:
         mine = shown.regime == kind
         lines = np.stack([dots[mine], ends[mine]], axis=1)
         axes.add_collection(LineCollection(list(lines), colors=regime.colour, linewidths=side / 900))
-        axes.scatter(*dots[mine].T, s=(side / 250) ** 2, c=regime.colour, edgecolors=regime.edge,
+        axes.scatter(dots[mine, 0], dots[mine, 1], s=(side / 250) ** 2, c=regime.colour, edgecolors=regime.edge,
                      linewidths=side / 1800, zorder=3)  # fmt: skip
 
 

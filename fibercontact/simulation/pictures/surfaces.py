@@ -49,7 +49,8 @@ def reach(obstacle: Obstacle) -> float:
 def grid_lines(plane: Plane, points: Array, width: float) -> NDArray[np.bool_]:
     """Whether points (m, 3) of a plane lie on the lines, `width` m wide, that are drawn on it."""
     along = (points - plane.point) @ contact_frames(plane.normal[None])[0, 1:].T
-    return (np.abs(along - LINES * np.round(along / LINES)) < 0.5 * width).any(axis=1)
+    near = np.abs(along - LINES * np.round(along / LINES)) < 0.5 * width
+    return near[:, 0] | near[:, 1]
 
 
 def _ball(x: Array, y: Array, centre: Array, radius: float) -> Surface:
