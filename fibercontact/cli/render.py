@@ -80,23 +80,26 @@ def render(
     Example: fibercontact render comb-wavy-61-mu0.5-249 --rods --out comb.png
     """
     with user_errors():
-        entry = _problem(what)
-        files = out or [Path(f"{entry.name if entry else Path(what).name}{suffix}") for suffix in STILLS]
-        _check_files(files)
-        _check_options(entry is not None, rods, step is not None, time is not None)
-        if entry is not None and not rods:
-            _draw_problem(entry, files)
-            return
-        from fibercontact.bench.problem_set import origin
+        from fibercontact.bench.problem_set import Entry, origin
         from fibercontact.simulation.scenes import build
 
-        name, step = origin(entry) if entry else (what, step)
-        scene = build(name)
+        found = _named(what)
+        problem = found if isinstance(found, Entry) else None
+        files = out or [Path(f"{problem.name if problem else Path(what).name}{suffix}") for suffix in STILLS]
+        _check_files(files)
+        _check_options(problem is not None, rods, step is not None, time is not None)
+        if problem and not rods:
+            _draw_problem(problem, files)
+            return
+        if isinstance(found, Entry):
+            name, step = origin(found)
+            found = build(name)
+        scene = found
         last = _last(scene, step, time)
         films = any(_suffix(file) in FILMS for file in files)
         motion = _run(scene, last, (every or math.ceil((last + 1) / FRAMES)) if films else 0)
-        if entry:
-            _compare(entry, motion.step)
+        if problem:
+            _compare(problem, motion.step)
         whole = [_draw_scene(file, motion, Look(size, turn, tilt, fps)) for file in files]
     raise typer.Exit(0 if motion.whole and all(whole) else 130)
 
@@ -105,17 +108,21 @@ def _suffix(file: Path) -> str:
     return file.suffix.lower()
 
 
-def _problem(what: str) -> "Entry | None":
-    """The problem of a file or of core306; None for the name of a scene."""
+def _named(what: str) -> "Entry | Scene":
+    """The problem of a file or of core306, or the scene of a name."""
     from fibercontact.bench.problem_set import find_problem
     from fibercontact.bench.protocol import BenchError
+    from fibercontact.simulation.scenes import SceneError, build
 
     try:
         return find_problem(what)
-    except BenchError:
+    except BenchError as no_problem:
         if Path(what).suffix.lower() in PROBLEMS:
             raise
-        return None
+        try:
+            return build(what)
+        except SceneError as no_scene:
+            raise SceneError(f"{no_scene}; {no_problem}") from None
 
 
 def _check_files(files: Sequence[Path]) -> None:

@@ -12,7 +12,7 @@ from PIL import Image
 
 from fibercontact.errors import UserError
 from fibercontact.simulation.pictures.camera import TILT, TURN, framed, view_axes
-from fibercontact.simulation.pictures.shown import REGIMES, Shown, corners, force_scale
+from fibercontact.simulation.pictures.shown import REGIMES, Shown, force_scale, held
 from fibercontact.simulation.pictures.still import SIZE, caption, draw_shown, pixels
 from fibercontact.simulation.scene import Scene
 
@@ -21,6 +21,7 @@ __all__ = ["AnimationError", "Picture", "ffmpeg", "gif_rate", "images", "write_g
 Picture = NDArray[np.uint8]
 
 COLOURS = 64  # of a GIF
+WHITE = 248  # a level from which on it is made white, as the paper is
 
 
 class AnimationError(UserError):
@@ -39,7 +40,7 @@ def images(
 
     `fps` is how many are shown a second: the title says how that compares with the scene's own time.
     """
-    camera = framed(view_axes(turn, tilt), corners(frames), size)
+    camera = framed(view_axes(turn, tilt), [group for shown in frames for group in held(shown)], size)
     newton = force_scale(frames, camera.width / camera.scale)
     pace = (frames[-1].time - frames[0].time) * fps / max(1, len(frames) - 1)
     for shown in frames:
@@ -78,9 +79,9 @@ def write_gif(file: Path, pictures: Iterable[Picture], fps: float) -> int:
 def _palette(image: Image.Image) -> Image.Image:
     """Colours of a picture, those of the regimes among them: dots are too few to be found by themselves."""
     kept = [int(colour[k : k + 2], 16) for _, colour, _ in REGIMES.values() for k in (1, 3, 5)]
-    found = image.quantize(COLOURS - len(REGIMES)).getpalette() or []
+    found = (image.quantize(COLOURS - len(REGIMES)).getpalette() or [])[: 3 * (COLOURS - len(REGIMES))]
     palette = Image.new("P", (1, 1))
-    palette.putpalette(kept + found[: 3 * (COLOURS - len(REGIMES))])
+    palette.putpalette(kept + [255 if level >= WHITE else level for level in found])
     return palette
 
 

@@ -1,6 +1,7 @@
 """Where a scene is looked at from: an orthographic view, framed once for all of the pictures of a run."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,9 +50,13 @@ def view_axes(turn: float = TURN, tilt: float = TILT) -> Array:
     return np.array([[c, s, 0.0], [-down * s, down * c, level], [level * s, -level * c, down]])
 
 
-def framed(axes: Array, points: Array, size: int) -> Camera:
-    """The camera along `axes` whose window, `size` pixels at the longer side, holds nearly all points (m, 3)."""
-    low, high = np.percentile(points @ axes.T, [OUTLIERS, 100.0 - OUTLIERS], axis=0)
+def framed(axes: Array, groups: Iterable[Array], size: int) -> Camera:
+    """The camera along `axes` whose window, `size` pixels at the longer side, holds groups of points (m, 3).
+
+    Of each group nearly all: a fibre that flew off does not make the others small.
+    """
+    ends = [np.percentile(points @ axes.T, [OUTLIERS, 100.0 - OUTLIERS], axis=0) for points in groups]
+    low, high = np.min(ends, axis=(0, 1)), np.max(ends, axis=(0, 1))
     extent = (high - low)[:2]
     longest = max(float(extent.max()), 1e-6)
     window = np.maximum(extent, longest / ASPECT) + 2.0 * MARGIN * longest

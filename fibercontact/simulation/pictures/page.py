@@ -30,8 +30,7 @@ HOVER = (
 CONFIG = {
     "displaylogo": False,
     "responsive": True,
-    "plotlyServerURL": "",
-    "modeBarButtonsToRemove": ["sendDataToCloud"],
+    "showSendToCloud": False,
 }
 POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 PAGE = """<!DOCTYPE html>
@@ -75,7 +74,7 @@ def write_page(figure: "Figure", title: str, words: str, file: Path) -> None:
 
 def lay_out(figure: "Figure", turn: float = TURN, tilt: float = TILT, titles: Sequence[str] = METRES) -> None:
     """Equal scales, an orthographic camera, a legend to switch things off."""
-    eye = 1.1 * view_axes(turn, tilt)[2]
+    eye = 0.95 * view_axes(turn, tilt)[2]
     axis = {"showbackground": False, "color": "#777777"}
     figure.update_layout(
         template="none",

@@ -117,7 +117,9 @@ def _strengths(axes: Axes, a: Answered) -> None:
 def _disc(axes: Axes, a: Answered) -> None:
     """`r_T / (mu r_N)`: stick within the unit circle, slip on it."""
     axes.set_title("tangential impulses in the friction disc")
-    axes.set_aspect("equal")
+    axes.set_box_aspect(1.0)
+    axes.set_xlim(-1.1, 1.1)
+    axes.set_ylim(-1.1, 1.1)
     angle = np.linspace(0.0, 2.0 * np.pi, 181)
     axes.plot(np.cos(angle), np.sin(angle), color="0.6", linewidth=1.0)
     share = _share(a)
@@ -136,17 +138,17 @@ def _law(axes: Axes, a: Answered) -> None:
     share = np.linalg.norm(_share(a), axis=1)
     speed = np.linalg.norm(a.u[:, 1:], axis=1)
     shown = (a.regime != OPEN) & np.isfinite(share)
-    least = 1e-6 * (a.problem.b_ref or 1.0)
-    end = max(float(speed[shown].max(initial=least)), 10.0 * least)
+    least = max(a.residual, 1e-12) * (a.problem.b_ref or 1.0)
+    end = max(float(speed[shown].max(initial=0.0)), 10.0 * least)
     axes.plot([0.0, 0.0, 2.0 * end], [0.0, 1.0, 1.0], color="0.6", linewidth=1.0)
     for kind in (k for k in REGIMES if k != OPEN):
         mine = shown & (a.regime == kind)
         axes.plot(speed[mine], share[mine], "o", color=REGIMES[kind].colour, markersize=4, alpha=0.7,
                   markeredgewidth=0)  # fmt: skip
-    axes.set_xscale("symlog", linthresh=max(least, 1e-4 * end))
-    axes.set_xlim(-0.2 * max(least, 1e-4 * end), 2.0 * end)
+    axes.set_xscale("symlog", linthresh=least)
+    axes.set_xlim(-0.2 * least, 2.0 * end)
     axes.set_ylim(-0.05, 1.1)
-    axes.set_xlabel("‖u_T‖ (m/s)")
+    axes.set_xlabel("‖u_T‖ (m/s), to scale below residual times b")
     axes.set_ylabel("‖r_T‖ / (mu r_N)")
 
 

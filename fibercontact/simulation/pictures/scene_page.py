@@ -11,7 +11,7 @@ from fibercontact.contact.obstacles import Cylinder, Obstacle, Plane, Sphere
 from fibercontact.local.algebra import OPEN
 from fibercontact.simulation.pictures.camera import TILT, TURN
 from fibercontact.simulation.pictures.page import Rows, contact_rows, contact_trace, lay_out
-from fibercontact.simulation.pictures.shown import REGIMES, Shown, corners, force_scale
+from fibercontact.simulation.pictures.shown import REGIMES, Shown, force_scale, held
 from fibercontact.simulation.step import Step
 
 if TYPE_CHECKING:
@@ -34,8 +34,8 @@ def scene_page(shown: Shown, step: Step, turn: float = TURN, tilt: float = TILT)
     """Fibres, obstacles, contacts by regime and forces of a step; each can be switched off."""
     from plotly.graph_objects import Figure
 
-    held = corners([shown])
-    low, high = held.min(axis=0), held.max(axis=0)
+    points = np.concatenate(held(shown))
+    low, high = points.min(axis=0), points.max(axis=0)
     figure = Figure([_fibres(shown)])
     for obstacle in shown.obstacles:
         figure.add_traces(list(_obstacle(obstacle, low, high)))

@@ -15,7 +15,7 @@ from fibercontact.rods.interface import AnyRods, rod_model
 from fibercontact.simulation.scene import Scene
 from fibercontact.simulation.step import Step
 
-__all__ = ["REGIMES", "Regime", "Shown", "contact_points", "corners", "force_scale", "regimes", "show"]
+__all__ = ["REGIMES", "Regime", "Shown", "contact_points", "force_scale", "held", "regimes", "show"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -108,22 +108,19 @@ def _at(fibres: Array, length: Array, rod: Ints, s: Array) -> Array:
     return fibres[rod, k] + (x - k)[:, None] * (fibres[rod, k + 1] - fibres[rod, k])
 
 
-def corners(frames: Iterable[Shown]) -> Array:
-    """Points (m, 3) that a picture of all of the frames must hold: fibres, and obstacles that end somewhere."""
-    points = []
-    for shown in frames:
-        points.append(shown.fibres.reshape(-1, 3))
-        points += [_box(o) for o in shown.obstacles if isinstance(o, Sphere | Cylinder)]
-    return np.concatenate(points)
+def held(shown: Shown) -> list[Array]:
+    """Groups of points (m, 3) that a picture must hold: the fibres, and the obstacles that end somewhere."""
+    boxes = [_box(obstacle) for obstacle in shown.obstacles]
+    return [shown.fibres.reshape(-1, 3), *(box for box in boxes if len(box))]
 
 
-def _box(obstacle: Sphere | Cylinder) -> Array:
-    """Points round a sphere or the ends of a cylinder; none of a cylinder without ends."""
+def _box(obstacle: Obstacle) -> Array:
+    """Points on the outside of an obstacle, none where it has no end."""
     if isinstance(obstacle, Sphere):
         return obstacle.point + obstacle.radius * np.concatenate([np.eye(3), -np.eye(3)])
-    if not np.isfinite(obstacle.length):
-        return np.empty((0, 3))
-    return obstacle.point + 0.5 * obstacle.length * np.array([[-1.0], [1.0]]) * obstacle.axis
+    if isinstance(obstacle, Cylinder) and np.isfinite(obstacle.length):
+        return obstacle.point + 0.5 * obstacle.length * np.array([[-1.0], [1.0]]) * obstacle.axis
+    return np.empty((0, 3))
 
 
 def force_scale(frames: Iterable[Shown], width: float) -> float:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fibercontact.simulation.pictures.camera import TILT, TURN, Camera, framed, view_axes
 from fibercontact.simulation.pictures.raster import Raster
-from fibercontact.simulation.pictures.shown import REGIMES, Shown, corners, force_scale, show
+from fibercontact.simulation.pictures.shown import REGIMES, Shown, force_scale, held, show
 from fibercontact.simulation.scene import Scene
 from fibercontact.simulation.step import Step
 
@@ -32,7 +32,7 @@ def draw(
 ) -> None:
     """Draw a step of a scene into a PNG file, `size` pixels at the longer side of its picture."""
     shown = show(scene, step)
-    camera = framed(view_axes(turn, tilt), corners([shown]), size)
+    camera = framed(view_axes(turn, tilt), held(shown), size)
     newton = force_scale([shown], camera.width / camera.scale)
     draw_shown(shown, camera, newton, caption(scene, shown)).savefig(file, dpi=DPI)
 
