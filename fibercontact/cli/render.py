@@ -43,7 +43,7 @@ class Look(NamedTuple):
     fps: float
 
 
-class Motion(NamedTuple):
+class Footage(NamedTuple):
     """What was run of a scene: the pictures of its animation, its last step, whether it was run to the end."""
 
     scene: "Scene"
@@ -97,11 +97,11 @@ def render(
         scene = found
         last = _last(scene, step, time)
         films = any(_suffix(file) in FILMS for file in files)
-        motion = _run(scene, last, (every or math.ceil((last + 1) / FRAMES)) if films else 0)
+        footage = _run(scene, last, (every or math.ceil((last + 1) / FRAMES)) if films else 0)
         if problem:
-            _compare(problem, motion.step)
-        whole = [_draw_scene(file, motion, Look(size, turn, tilt, fps)) for file in files]
-    raise typer.Exit(0 if motion.whole and all(whole) else 130)
+            _compare(problem, footage.step)
+        whole = [_draw_scene(file, footage, Look(size, turn, tilt, fps)) for file in files]
+    raise typer.Exit(0 if footage.whole and all(whole) else 130)
 
 
 def _suffix(file: Path) -> str:
@@ -167,7 +167,7 @@ def _last(scene: "Scene", step: int | None, time: float | None) -> int:
     return step
 
 
-def _run(scene: "Scene", last: int, every: int) -> Motion:
+def _run(scene: "Scene", last: int, every: int) -> Footage:
     """Run a scene up to a step; every so many steps, counted from the last, are kept for an animation."""
     from fibercontact.cli.screen import bar
     from fibercontact.simulation.pictures.shown import show
@@ -187,11 +187,11 @@ def _run(scene: "Scene", last: int, every: int) -> Motion:
             raise typer.Exit(130) from None
         typer.echo(f"stopped after step {step.index}", err=True)
     assert step is not None
-    return Motion(scene, frames or [show(scene, step)], step, step.index == last)
+    return Footage(scene, frames or [show(scene, step)], step, step.index == last)
 
 
 def _compare(entry: "Entry", step: "Step") -> None:
-    """Say whether the scene, run again, poses the problem of the file: motions part where rounding differs."""
+    """Say whether the scene, run again, poses the problem of the file: footages part where rounding differs."""
     from fibercontact.problem.fclib import read
 
     there = read(entry.file).problem
@@ -200,24 +200,24 @@ def _compare(entry: "Entry", step: "Step") -> None:
         typer.echo(f"warning: the scene, run again, does not pose this very problem: {found}", err=True)
 
 
-def _draw_scene(file: Path, motion: Motion, look: Look) -> bool:
+def _draw_scene(file: Path, footage: Footage, look: Look) -> bool:
     """Write one picture; whether it is whole."""
     suffix = _suffix(file)
     if suffix in FILMS:
-        count = _draw_film(file, motion, look)
-        typer.echo(f"wrote {file}: {count} of {len(motion.frames)} pictures")
-        return count == len(motion.frames)
+        count = _draw_film(file, footage, look)
+        typer.echo(f"wrote {file}: {count} of {len(footage.frames)} pictures")
+        return count == len(footage.frames)
     if suffix == ".html":
-        _draw_page(file, motion, look)
+        _draw_page(file, footage, look)
     else:
         from fibercontact.simulation.pictures.still import draw
 
-        draw(motion.scene, motion.step, file, look.size, look.turn, look.tilt)
+        draw(footage.scene, footage.step, file, look.size, look.turn, look.tilt)
     typer.echo(f"wrote {file}")
     return True
 
 
-def _draw_film(file: Path, motion: Motion, look: Look) -> int:
+def _draw_film(file: Path, footage: Footage, look: Look) -> int:
     from fibercontact.cli.screen import bar
     from fibercontact.simulation.pictures.animation import gif_rate, images, write_gif, write_mp4
 
@@ -225,23 +225,23 @@ def _draw_film(file: Path, motion: Motion, look: Look) -> int:
     fps, write = (gif_rate(look.fps), write_gif) if gif else (look.fps, write_mp4)
 
     def drawn() -> "Iterator[Picture]":
-        for picture in images(motion.scene, motion.frames, fps, look.size, look.turn, look.tilt):
+        for picture in images(footage.scene, footage.frames, fps, look.size, look.turn, look.tilt):
             yield picture
             advance()
 
-    with bar(file.name, len(motion.frames)) as advance:
+    with bar(file.name, len(footage.frames)) as advance:
         return write(file, drawn(), fps)
 
 
-def _draw_page(file: Path, motion: Motion, look: Look) -> None:
+def _draw_page(file: Path, footage: Footage, look: Look) -> None:
     from fibercontact.simulation.pictures.page import write_page
     from fibercontact.simulation.pictures.scene_page import scene_page
     from fibercontact.simulation.pictures.shown import show
     from fibercontact.simulation.pictures.still import caption
 
-    scene, step = motion.scene, motion.step
+    scene, step = footage.scene, footage.step
     shown = show(scene, step)
-    name, words = caption(scene, shown).split("\n")
+    name, words = caption(scene, shown)
     write_page(scene_page(shown, step, look.turn, look.tilt), name, words, file)
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from plotly.basedatatypes import BaseTraceType
     from plotly.graph_objects import Figure
 
-__all__ = ["contact_rows", "contact_trace", "lay_out", "write_page"]
+__all__ = ["Rows", "contact_rows", "contact_trace", "lay_out", "write_page"]
 
 Array = NDArray[np.float64]
 Rows = list[list[object]]
@@ -23,15 +23,11 @@ Rows = list[list[object]]
 METRES = ("x (m)", "y (m)", "z (m)")
 HOVER = (
     "%{customdata[0]}<br>mu = %{customdata[1]:.3g}<br>"
-    "r = (%{customdata[2]:.3g}, %{customdata[3]:.3g}, %{customdata[4]:.3g}) N·s<br>"
-    "u = (%{customdata[5]:.3g}, %{customdata[6]:.3g}, %{customdata[7]:.3g}) m/s"
+    "r (N, T1, T2) = (%{customdata[2]:.3g}, %{customdata[3]:.3g}, %{customdata[4]:.3g}) N·s<br>"
+    "u (N, T1, T2) = (%{customdata[5]:.3g}, %{customdata[6]:.3g}, %{customdata[7]:.3g}) m/s"
 )
-"""What is said of a contact: who touches, friction, impulse and velocity as (N, T1, T2)."""
-CONFIG = {
-    "displaylogo": False,
-    "responsive": True,
-    "showSendToCloud": False,
-}
+"""What is said of a contact: who touches, friction, impulse and velocity."""
+CONFIG = {"displaylogo": False, "responsive": True, "showSendToCloud": False}
 POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 PAGE = """<!DOCTYPE html>
 <html lang="en">
@@ -91,7 +87,7 @@ def lay_out(figure: "Figure", turn: float = TURN, tilt: float = TILT, titles: Se
 def contact_rows(names: Sequence[str], mu: Array, r: Array, u: Array) -> Rows:
     """What is said of n contacts: their names, `mu` (n,), `r` and `u` (3n,)."""
     numbers = np.column_stack([mu, r.reshape(-1, 3), u.reshape(-1, 3)]).tolist()
-    return [[name, *row] for name, row in zip(names, numbers, strict=True)]
+    return [[name, *(float(f"{x:.3g}") for x in row)] for name, row in zip(names, numbers, strict=True)]
 
 
 def contact_trace(kind: int, points: Array, rows: Rows) -> "BaseTraceType":

@@ -46,16 +46,19 @@ class Raster:
             self._draw_tubes(polylines[mine] @ self.camera.axes.T, float(r), colours[mine])
 
     def _draw_tubes(self, polylines: Array, radius: float, colours: Array) -> None:
-        """Draw the half of each tube that faces the eye, point by point; its ends are open."""
-        radius = max(radius, THINNEST / self.camera.scale)
+        """Draw the half of each tube that faces the eye, point by point; its ends are open.
+
+        A point fills its pixel, so the outermost points lie half a pixel inwards.
+        """
+        width = max(radius * self.camera.scale, THINNEST) - 0.5
         middle, side, front = _along(polylines, STEP / self.camera.scale)
         rod = np.repeat(np.arange(len(polylines)), len(middle) // len(polylines))
-        for normal in _round(side, front, radius * self.camera.scale):
-            points = middle + radius * normal
+        for normal in _round(side, front, width):
+            points = middle + width / self.camera.scale * normal
             point, pixel = self._pixels(points)
             np.maximum.at(self.depth, pixel, points[point, 2])
-        for normal in _round(side, front, radius * self.camera.scale):
-            points = middle + radius * normal
+        for normal in _round(side, front, width):
+            points = middle + width / self.camera.scale * normal
             point, pixel = self._pixels(points)
             seen = points[point, 2] == self.depth[pixel]
             point, pixel = point[seen], pixel[seen]
@@ -131,6 +134,5 @@ def _unit(vectors: Array) -> Array:
 
 def _round(side: Array, front: Array, radius: float) -> Iterator[Array]:
     """Normals (m, 3) of the half of a tube of `radius` pixels that faces the eye, line by line."""
-    lines = int(np.ceil(np.pi * radius / STEP))
-    for angle in np.pi * (np.arange(lines) + 0.5) / lines:
+    for angle in np.linspace(0.0, np.pi, 1 + int(np.ceil(np.pi * radius / STEP))):
         yield np.cos(angle) * side + np.sin(angle) * front

@@ -22,8 +22,8 @@ __all__ = ["scene_page", "tubes"]
 
 Array = NDArray[np.float64]
 
-TUBES = 400  # fibres: tubes of more would make a heavy page, they are lines
-POINTS, SIDES = 40, 6  # segments of a tube, corners of its rings
+TUBES = 250  # fibres: tubes of more would make a heavy page, they are lines
+SEGMENTS, SIDES = 30, 6  # of a fibre, and corners of the rings of a tube
 ROUND = 12  # points of a quarter of a circle
 FIBRES = [[0.0, "#8f7561"], [1.0, "#edd6b8"]]
 STONE = [[0.0, "#d9d6d1"], [1.0, "#d9d6d1"]]
@@ -86,11 +86,12 @@ def _fibres(shown: Shown) -> "BaseTraceType":
 
     shade = np.random.default_rng(0).uniform(size=len(shown.fibres)).astype(np.float32)
     common = {"name": "fibres", "showlegend": True, "hoverinfo": "skip"}
-    if len(shown.fibres) > TUBES:
-        x, y, z = _broken(shown.fibres)
-        line = {"color": np.repeat(shade, shown.fibres.shape[1] + 1), "colorscale": FIBRES, "width": 3}
+    fibres = _thinned(shown.fibres, SEGMENTS)
+    if len(fibres) > TUBES:
+        x, y, z = _broken(fibres)
+        line = {"color": np.repeat(shade, fibres.shape[1] + 1), "colorscale": FIBRES, "width": 3}
         return Scatter3d(x=x, y=y, z=z, mode="lines", line=line, **common)
-    corner, triangle = tubes(_thinned(shown.fibres, POINTS), shown.radius, SIDES)
+    corner, triangle = tubes(fibres, shown.radius, SIDES)
     x, y, z = corner.T.astype(np.float32)
     i, j, k = triangle.T.astype(np.int32)
     return Mesh3d(x=x, y=y, z=z, i=i, j=j, k=k, intensity=np.repeat(shade, len(corner) // len(shade)),

@@ -1,5 +1,6 @@
 """A picture of a scene at a step: rods and obstacles, contacts by regime, forces, scales."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -37,20 +38,20 @@ def draw(
     draw_shown(shown, camera, newton, caption(scene, shown)).savefig(file, dpi=DPI)
 
 
-def caption(scene: Scene, shown: Shown, more: str = "") -> str:
-    """Which scene, when, how much of it."""
+def caption(scene: Scene, shown: Shown, more: str = "") -> tuple[str, str]:
+    """Which scene; when, and how much of it."""
     counts = f"{len(shown.fibres)} fibres, {len(shown.points)} contacts"
-    return f"{scene.name}\nstep {shown.index}, {shown.time:.2f} s{more}: {counts}"
+    return scene.name, f"step {shown.index}, {shown.time:.2f} s{more}: {counts}"
 
 
-def draw_shown(shown: Shown, camera: Camera, newton: float, title: str) -> Figure:
+def draw_shown(shown: Shown, camera: Camera, newton: float, title: Sequence[str]) -> Figure:
     """The picture: title above, contacts by regime and forces, `newton` metres for a newton, legend below."""
     letter = float(np.clip(camera.width / 32, *LETTERS))
     strip = 2 * round(2.1 * letter)
     height = camera.height + 2 * strip
     figure = Figure(figsize=(camera.width / DPI, height / DPI), dpi=DPI)
     with rc_context({"font.size": letter * 72 / DPI, "text.parse_math": False}):
-        figure.text(0.5, 1.0 - 0.5 * strip / height, title, ha="center", va="center")
+        figure.text(0.5, 1.0 - 0.5 * strip / height, "\n".join(title), ha="center", va="center")
         axes = _panel(figure, strip / height, camera.height / height, camera.width, camera.height)
         axes.imshow(_image(shown, camera), extent=(0, camera.width, camera.height, 0))
         _contacts(axes, shown, camera, newton)
