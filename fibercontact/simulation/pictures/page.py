@@ -70,7 +70,7 @@ def write_page(figure: "Figure", title: str, words: str, file: Path) -> None:
 
 def lay_out(figure: "Figure", turn: float = TURN, tilt: float = TILT, titles: Sequence[str] = METRES) -> None:
     """Equal scales, an orthographic camera, a legend to switch things off."""
-    eye = 0.95 * view_axes(turn, tilt)[2]
+    eye = 0.6 * view_axes(turn, tilt)[2]
     axis = {"showbackground": False, "color": "#777777"}
     figure.update_layout(
         template="none",

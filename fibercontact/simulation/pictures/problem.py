@@ -59,7 +59,7 @@ def answered(title: str, problem: IncrementalProblem, r: Array, source: str) -> 
 
 def problem_figure(a: Answered) -> Figure:
     """The four panels."""
-    figure = Figure(figsize=(10.0, 9.4), dpi=100, layout="constrained")
+    figure = Figure(figsize=(10.0, 9.6), dpi=100, layout="constrained")
     figure.suptitle(f"{a.title}\n{a.words}", fontsize=11, parse_math=False)
     panels = figure.subplots(2, 2)
     _coupling(figure, panels[0, 0], a)
@@ -67,6 +67,7 @@ def problem_figure(a: Answered) -> Figure:
     _disc(panels[1, 0], a)
     _law(panels[1, 1], a)
     for axes in panels.flat:
+        axes.set_box_aspect(1.0)
         axes.set_axisbelow(True)
         axes.title.set_fontsize(10)
     return figure
@@ -117,7 +118,8 @@ def _strengths(axes: Axes, a: Answered) -> None:
 def _disc(axes: Axes, a: Answered) -> None:
     """`r_T / (mu r_N)`: stick within the unit circle, slip on it."""
     axes.set_title("tangential impulses in the friction disc")
-    axes.set_box_aspect(1.0)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_ticks([-1.0, -0.5, 0.0, 0.5, 1.0])
     axes.set_xlim(-1.1, 1.1)
     axes.set_ylim(-1.1, 1.1)
     angle = np.linspace(0.0, 2.0 * np.pi, 181)
@@ -145,7 +147,7 @@ def _law(axes: Axes, a: Answered) -> None:
         mine = shown & (a.regime == kind)
         axes.plot(speed[mine], share[mine], "o", color=REGIMES[kind].colour, markersize=4, alpha=0.7,
                   markeredgewidth=0)  # fmt: skip
-    axes.set_xscale("symlog", linthresh=least)
+    axes.set_xscale("symlog", linthresh=least, linscale=1.0)
     axes.set_xlim(-0.2 * least, 2.0 * end)
     axes.set_ylim(-0.05, 1.1)
     axes.set_xlabel("‖u_T‖ (m/s), to scale below residual times b")

@@ -3,6 +3,7 @@
 Every pixel keeps the nearest surface: its depth in metres towards the eye, the way it faces, its colour.
 """
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -25,6 +26,7 @@ LIGHT = np.array([-0.40, 0.56, 0.726])  # unit, in the axes of the camera
 AMBIENT, GLOSS = 0.45, 0.2  # light that comes from everywhere, and that of highlights
 OBSTACLE, LINE = 0.90, 0.72  # greys
 DARKENING = 0.4  # of what lies far below its surroundings
+BATCH = 100  # fibres that are drawn at once: more would take much memory
 BLUR, DEEP = 0.008, 0.05  # extent of surroundings, and what is far, in longer sides of the image
 
 
@@ -42,8 +44,9 @@ class Raster:
     def tubes(self, polylines: Array, radius: Array, colours: Array) -> None:
         """Draw polylines (R, P + 1, 3) as tubes of `radius` (R,) m and `colours` (R, 3)."""
         for r in np.unique(radius):
-            mine = radius == r
-            self._draw_tubes(polylines[mine] @ self.camera.axes.T, float(r), colours[mine])
+            mine = np.flatnonzero(radius == r)
+            for few in np.array_split(mine, math.ceil(len(mine) / BATCH)):
+                self._draw_tubes(polylines[few] @ self.camera.axes.T, float(r), colours[few])
 
     def _draw_tubes(self, polylines: Array, radius: float, colours: Array) -> None:
         """Draw the half of each tube that faces the eye, point by point; its ends are open.
@@ -53,16 +56,16 @@ class Raster:
         width = max(radius * self.camera.scale, THINNEST) - 0.5
         middle, side, front = _along(polylines, STEP / self.camera.scale)
         rod = np.repeat(np.arange(len(polylines)), len(middle) // len(polylines))
+        lines = []
         for normal in _round(side, front, width):
             points = middle + width / self.camera.scale * normal
             point, pixel = self._pixels(points)
             np.maximum.at(self.depth, pixel, points[point, 2])
-        for normal in _round(side, front, width):
-            points = middle + width / self.camera.scale * normal
-            point, pixel = self._pixels(points)
-            seen = points[point, 2] == self.depth[pixel]
-            point, pixel = point[seen], pixel[seen]
-            self.normal[pixel], self.colour[pixel] = normal[point], colours[rod[point]]
+            lines.append((normal, points[point, 2], point, pixel))
+        for normal, depth, point, pixel in lines:
+            seen = depth == self.depth[pixel]
+            self.normal[pixel[seen]] = normal[point[seen]]
+            self.colour[pixel[seen]] = colours[rod[point[seen]]]
 
     def _pixels(self, points: Array) -> tuple[Ints, Ints]:
         """The points (m, 3), along the camera's axes, that are in the window, and their pixels."""
