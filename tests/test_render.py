@@ -86,7 +86,7 @@ def incline(theta, mu):
 
 @pytest.fixture(scope="module")
 def scene():
-    return replace(build(Parameters("plane", 8, "straight", 0.5, 0.5, 3)), steps=60)
+    return replace(build(Parameters("plane", 5, "straight", 0.5, 0.5, 3)), steps=40)
 
 
 @pytest.fixture(scope="module")
@@ -364,7 +364,7 @@ def test_the_traces_of_a_page_are_those_of_the_step(scene, steps):
     (forces,) = (trace for name, trace in by_name.items() if name.startswith("forces"))
     pushing = drawn.regime != OPEN
     assert len(forces.x) == 3 * pushing.sum()
-    assert len(by_name["fibres"].x) == len(by_name["fibres"].intensity) == 8 * 31 * 6
+    assert len(by_name["fibres"].x) == len(by_name["fibres"].intensity) == 5 * 31 * 6
     assert "obstacle" in by_name
     assert figure.layout.scene.aspectmode == "data"
 
