@@ -81,11 +81,11 @@ def render(
     """
     with user_errors():
         from fibercontact.bench.problem_set import Entry, origin
-        from fibercontact.simulation.scenes import build
 
         found = _named(what)
         problem = found if isinstance(found, Entry) else None
-        files = out or [Path(f"{problem.name if problem else Path(what).name}{suffix}") for suffix in STILLS]
+        stem = problem.name if problem else Path(what).name.removesuffix(".toml").removesuffix(".py")
+        files = out or [Path(stem + suffix) for suffix in STILLS]
         _check_files(files)
         _check_options(problem is not None, rods, step is not None, time is not None)
         if problem and not rods:
@@ -93,7 +93,7 @@ def render(
             return
         if isinstance(found, Entry):
             name, step = origin(found)
-            found = build(name)
+            found = _scene(name)
         scene = found
         last = _last(scene, step, time)
         films = any(_suffix(file) in FILMS for file in files)
@@ -109,20 +109,28 @@ def _suffix(file: Path) -> str:
 
 
 def _named(what: str) -> "Entry | Scene":
-    """The problem of a file or of core306, or the scene of a name."""
+    """The problem of an FCLIB file or of core306, or a scene."""
     from fibercontact.bench.problem_set import find_problem
     from fibercontact.bench.protocol import BenchError
-    from fibercontact.simulation.scenes import SceneError, build
+    from fibercontact.errors import UserError
 
+    if Path(what).suffix.lower() in PROBLEMS:
+        return find_problem(what)
+    if Path(what).is_file():
+        return _scene(what)
     try:
         return find_problem(what)
     except BenchError as no_problem:
-        if Path(what).suffix.lower() in PROBLEMS:
-            raise
         try:
-            return build(what)
-        except SceneError as no_scene:
-            raise SceneError(f"{no_scene}; {no_problem}") from None
+            return _scene(what)
+        except UserError as no_scene:
+            raise UserError(f"{no_scene}; {no_problem}") from None
+
+
+def _scene(name: str) -> "Scene":
+    from fibercontact.simulation.scenes import build
+
+    return build(name)
 
 
 def _check_files(files: Sequence[Path]) -> None:

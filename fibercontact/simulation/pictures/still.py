@@ -94,7 +94,7 @@ def _contacts(axes: Axes, shown: Shown, camera: Camera, newton: float) -> None:
         mine = shown.regime == kind
         lines = np.stack([dots[mine], ends[mine]], axis=1)
         axes.add_collection(LineCollection(list(lines), colors=regime.colour, linewidths=side / 900))
-        axes.scatter(dots[mine, 0], dots[mine, 1], s=(side / 250) ** 2, c=regime.colour, edgecolors=regime.edge,
+        axes.scatter(dots[mine, 0], dots[mine, 1], s=(1.4 + side / 400) ** 2, c=regime.colour, edgecolors=regime.edge,
                      linewidths=side / 1800, zorder=3)  # fmt: skip
 
 
