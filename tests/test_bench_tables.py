@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fibercontact.bench.protocol import ACCURACIES, PUBLISHED, BenchError
-from fibercontact.bench.report import display, make_report, write_report
+from fibercontact.bench.report import BY_RODS, by_rods, display, make_report, write_report
 from fibercontact.bench.tables import (
     common_problems,
     contrary,
@@ -200,6 +200,26 @@ def test_strata_split_the_rated_rows_by_scene_size_and_mu():
         (by, solver): failed for by in ("scene", "contacts", "mu") for solver, failed in
         (("hybrid", 0), ("pac", 1), ("pyramid", 1))
     }  # fmt: skip
+
+
+def test_a_set_with_several_rod_models_is_read_by_model(tmp_path):
+    models = {"p1": "", "p2": "@discrete", "p3": "@clothoid", "p4": "@clothoid"}
+    rows = [row | {"scene": row["scene"] + models[row["problem"]]} for row in all_rows()]
+    report = make_report(rows, SOLVERS)
+    found = by_rods(report.views[0])
+    assert found.index.tolist() == SOLVERS
+    assert found.loc["hybrid"].to_dict() == {
+        "clothoid": "0 / 20 / 4",
+        "discrete": "0 / 30 / 9",
+        "helix": "0 / 10 / 1",
+    }
+    assert found.loc["pac", "discrete"] == "100 / – / –"
+    write_report(report, tmp_path)
+    assert BY_RODS in (tmp_path / "table.md").read_text(encoding="utf-8")
+
+
+def test_a_set_with_one_rod_model_is_not():
+    assert by_rods(make_report(all_rows(), SOLVERS).views[0]).empty
 
 
 def test_contrary_strata_are_named():

@@ -288,7 +288,43 @@ def test_simulate_runs_some_steps_and_leaves_rows_and_a_picture(tmp_path):
 
 def test_scenes_are_listed_and_unknown_ones_refused(tmp_path):
     assert "comb-curly-91-mu1" in call("simulate", "list").output
-    result = call("dump", "nowhere", "--out", tmp_path / "set")
-    assert result.exit_code == 2
-    assert "unknown scene 'nowhere' (known: wisp-straight" in result.stderr
-    assert not (tmp_path / "set").exists()
+    out = tmp_path / "run"
+    assert "unknown scene 'nowhere' (known: wisp-straight" in fails("simulate", "nowhere", "--out", str(out))
+    assert not out.exists()
+
+
+def test_a_new_scene_gives_its_own_problems_and_they_solve(tmp_path):
+    file, out = tmp_path / "mine.toml", tmp_path / "run"
+    assert "simulate" in call("new-scene", file).output
+    asked = ["simulate", file, "--steps", "41", "--dump", "every=20", "--min-contacts", "100", "--out", out]
+    result = call(*asked)
+    assert result.exit_code == 0, result.output
+    rows = (out / "steps.csv").read_text().splitlines()[1:]
+    expected = [k for k in (0, 20, 40) if int(rows[k].split(",")[2]) >= 100]
+    listed = (out / "problems" / "manifest.csv").read_text().splitlines()[1:]
+    assert [line.split(",")[0] for line in listed] == [f"mine-{k:03d}.hdf5" for k in expected]
+    assert f"wrote {len(expected)} problems" in result.output
+    assert (
+        call(
+            "solve",
+            out / "problems" / f"mine-{expected[-1]:03d}.hdf5",
+            "--solver",
+            "secular",
+            "--accuracy",
+            "low",
+        ).exit_code
+        == 0
+    )
+    assert "has problems already" in fails(*map(str, asked))
+    assert "File exists" in fails("new-scene", str(file))
+    assert "ends in .toml" in fails("new-scene", str(tmp_path / "mine.txt"))
+
+
+@pytest.mark.parametrize("dump", ["10", "every=0", "every=x", "every=-1"])
+def test_what_is_dumped_is_every_so_manieth_step(dump):
+    assert f"--dump {dump}: write every=K" in fails("simulate", "wisp-straight-19-mu0.3", "--dump", dump)
+
+
+def test_sets_are_listed_and_unknown_ones_refused():
+    assert "core306    306 problems" in call("corpus", "list").output
+    assert "unknown set 'core' (known: core306" in fails("corpus", "build", "core")

@@ -169,10 +169,22 @@ def _only(values: list[Any]) -> Any:
     return values[0] if len(values) == 1 else values
 
 
+BY_RODS = "by rod model: failures (%) / mean sweeps / mean time (ms, where timed)"
+
+
 def display(view: View) -> pd.DataFrame:
     """The table as people read it: text cells, headings with units."""
     lines = [_cells(line, view.mode == TIMED) for line in view.table.to_dict("records")]
     return pd.DataFrame(lines, index=view.table.index)
+
+
+def by_rods(view: View) -> pd.DataFrame:
+    """The table by rod model as people read it, empty for one model: failures (%) / mean sweeps / mean ms."""
+    strata = view.strata[view.strata["by"] == "rods"]
+    shown = ["failure_percent", "sweeps_mean", *(["time_mean_ms"] if view.mode == TIMED else [])]
+    cells = strata[shown].map(number).agg(" / ".join, axis=1) if len(strata) else strata["stratum"]
+    by_model = strata.assign(cell=cells).pivot(index="solver", columns="stratum", values="cell")
+    return by_model.reindex([name for name in view.table.index if name in by_model.index])
 
 
 def _cells(line: dict[Hashable, Any], timed: bool) -> dict[str, str]:
@@ -217,9 +229,16 @@ def _pairs(first: pd.Series, second: pd.Series) -> list[str]:
 def markdown(view: View) -> str:
     """The table in Markdown, its notes below."""
     cells = display(view).reset_index()
-    lines = [f"**{view.title}**", "", pipes(cells.columns), pipes("---" for _ in cells.columns)]
-    lines += [pipes(line) for line in cells.itertuples(index=False)]
-    return "\n".join([*lines, "", *(f"* {note}" for note in view.notes), ""])
+    lines = [f"**{view.title}**", "", *_grid(cells), "", *(f"* {note}" for note in view.notes), ""]
+    if len(models := by_rods(view)):
+        lines += [f"**{BY_RODS}**", "", *_grid(models.reset_index()), ""]
+    return "\n".join(lines)
+
+
+def _grid(cells: pd.DataFrame) -> list[str]:
+    """The lines of a Markdown table."""
+    head = [pipes(cells.columns), pipes("---" for _ in cells.columns)]
+    return head + [pipes(line) for line in cells.itertuples(index=False)]
 
 
 def pipes(cells: Iterable[Any]) -> str:

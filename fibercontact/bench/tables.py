@@ -121,12 +121,18 @@ def _published(solvers: pd.Index) -> pd.DataFrame:
 
 
 def strata(rows: pd.DataFrame, solvers: Sequence[str]) -> pd.DataFrame:
-    """The headline's figures by scene, by number of contacts and by (largest) mu, one row each a solver."""
+    """The headline's figures by scene, by contacts, by (largest) mu, and by rod model where scenes name several.
+
+    One row each a solver.
+    """
     kinds = {
         "scene": rows["scene"],
         "contacts": _binned(rows["contacts"], CONTACT_EDGES),
         "mu": _binned(pd.to_numeric(rows["mu_max"]), MU_EDGES),
     }
+    model = rows["scene"].str.partition("@")[2].replace("", "helix")
+    if model.nunique() > 1:
+        kinds["rods"] = model
     keep = ["problems", "failed", "failure_percent", "common", "sweeps_mean", "time_mean_ms", "time_geo_ms"]
     parts = [
         headline(group, solvers)[keep].reset_index().assign(by=kind, stratum=str(stratum))

@@ -182,9 +182,11 @@ def _of_plan(plan: "Plan", rows: "Sequence[Row]") -> "list[Row]":
 
 
 def _print(report: "Report") -> None:
-    from fibercontact.bench.report import display
+    from fibercontact.bench.report import BY_RODS, by_rods, display
 
     console = screen()
     for view in report.views:
         print_table(console, view.title, display(view).reset_index(), texts=("solver", "reasons"))
         print_notes(console, view.notes)
+        if len(models := by_rods(view)):
+            print_table(console, BY_RODS, models.reset_index(), texts=("solver",))

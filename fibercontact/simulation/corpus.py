@@ -51,7 +51,7 @@ RODS = ProblemSet(
     tuple(
         Parameters(*scene, model=model)
         for model in MODELS
-        for scene in (("twist", 48, "mixed", 0.5, 0.5, 21), ("cylinder", 40, "curly", 0.3, 0.3, 22))
+        for scene in (("twist", 40, "mixed", 0.5, 0.5, 21), ("cylinder", 36, "curly", 0.3, 0.3, 22))
     ),
     per_scene=17,
     fewest=20,

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from fibercontact.rods.interface import rod_model
-from fibercontact.simulation.picture import draw
+from fibercontact.simulation.pictures.still import draw
 from fibercontact.simulation.scene import Scene
 from fibercontact.simulation.step import Step
 
