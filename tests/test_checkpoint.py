@@ -1,16 +1,20 @@
 """Checkpoints: a run that is broken off and taken up again is the run, bit for bit; faults are named."""
 
+import os
 import subprocess
 import sys
 from dataclasses import fields, replace
 
 import h5py
 import numpy as np
+import pandas as pd
 import pytest
+from typer.testing import CliRunner
 
-from fibercontact.simulation.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
+from fibercontact.cli import app
+from fibercontact.simulation.checkpoint import CHECKPOINT, CheckpointError, load_checkpoint, save_checkpoint
 from fibercontact.simulation.scenes import Parameters, build
-from fibercontact.simulation.step import simulate, start
+from fibercontact.simulation.step import simulate, start, take_step
 
 STEPS, BROKEN_AFTER = 12, 6
 
@@ -174,3 +178,87 @@ def test_more_steps_are_the_same_scene(tmp_path):
     scene, file = scene_of("helix"), tmp_path / "checkpoint.h5"
     broken_off(scene, file)
     assert load_checkpoint(file, replace(scene, steps=1000))[0] == BROKEN_AFTER
+
+
+# The command line
+
+SCENE = "wisp-straight-19-mu0.3"
+
+
+def command(*arguments):
+    return CliRunner().invoke(app, ["simulate", SCENE, *(str(a) for a in arguments)])
+
+
+def rows_of(folder):
+    """The rows of a run without what its clock said."""
+    table = pd.read_csv(folder / "steps.csv")
+    return table[[name for name in table.columns if "seconds" not in name]]
+
+
+def world_of(folder):
+    return load_checkpoint(folder / CHECKPOINT, build(SCENE))
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("whole")
+    result = command("--steps", 12, "--out", folder, "--checkpoint-every", 100, "--dump", "every=3")
+    assert result.exit_code == 0, result.output
+    return folder
+
+
+def assert_same_run(folder, whole):
+    pd.testing.assert_frame_equal(rows_of(folder), rows_of(whole), check_exact=True)
+    (index, world), (whole_index, whole_world) = world_of(folder), world_of(whole)
+    assert index == whole_index == 12
+    assert_same_world(world, whole_world)
+
+
+def test_a_restart_goes_on_with_rows_and_problems(whole, tmp_path):
+    asked = ("--out", tmp_path, "--dump", "every=3")
+    assert command("--steps", 5, *asked, "--checkpoint-every", 2).exit_code == 0
+    result = command("--steps", 12, *asked, "--restart")
+    assert result.exit_code == 0, result.output
+    assert_same_run(tmp_path, whole)
+    for file in sorted(whole.glob("problems/*")):
+        assert (tmp_path / "problems" / file.name).read_bytes() == file.read_bytes()
+
+
+@pytest.mark.parametrize("options", [("--checkpoint-every", 4), ("--checkpoint-every", 100)])
+def test_a_run_that_is_interrupted_can_go_on(options, whole, tmp_path, monkeypatch):
+    def interrupted(scene, solver, world, index):
+        if index == 7:
+            raise KeyboardInterrupt
+        return take_step(scene, solver, world, index)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("fibercontact.simulation.step.take_step", interrupted)
+        result = command("--steps", 12, "--out", tmp_path, *options)
+    assert result.exit_code == 130
+    assert world_of(tmp_path)[0] == 7
+    assert command("--steps", 12, "--out", tmp_path, "--restart").exit_code == 0
+    assert_same_run(tmp_path, whole)
+
+
+def test_a_killed_run_goes_on_from_the_last_checkpoint(whole, tmp_path, monkeypatch):
+    def killed(scene, solver, world, index):
+        if index == 7:
+            os._exit(9)
+        return take_step(scene, solver, world, index)
+
+    monkeypatch.setattr("fibercontact.simulation.step.take_step", killed)
+    if (child := os.fork()) == 0:
+        command("--steps", 12, "--out", tmp_path, "--checkpoint-every", 3)
+        os._exit(0)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9
+    monkeypatch.undo()
+    assert world_of(tmp_path)[0] == 6
+    assert len(rows_of(tmp_path)) == 6
+    assert command("--steps", 12, "--out", tmp_path, "--restart").exit_code == 0
+    assert_same_run(tmp_path, whole)
+
+
+def test_a_restart_without_a_checkpoint_says_so(tmp_path):
+    result = command("--out", tmp_path, "--restart")
+    assert result.exit_code == 2
+    assert f"{tmp_path / CHECKPOINT}: no such file" in " ".join(result.output.split())

@@ -24,8 +24,9 @@ from fibercontact.problem.incremental import ProblemError
 from fibercontact.simulation.scene import Scene
 from fibercontact.simulation.step import World, start
 
-__all__ = ["CheckpointError", "load_checkpoint", "save_checkpoint"]
+__all__ = ["CHECKPOINT", "CheckpointError", "load_checkpoint", "save_checkpoint"]
 
+CHECKPOINT = "checkpoint.h5"
 FORMAT = "fibercontact checkpoint 1"
 
 
@@ -35,6 +36,7 @@ class CheckpointError(UserError):
 
 def save_checkpoint(file: Path, scene: Scene, index: int, world: World) -> None:
     """Write the `world` at the end of step `index` of a scene, whole or not at all."""
+    file.parent.mkdir(parents=True, exist_ok=True)
     image = io.BytesIO()
     with h5py.File(image, "w") as content:
         for name, text in {"format": FORMAT, "scene": scene.name, "fingerprint": _fingerprint(scene)}.items():

@@ -1,7 +1,6 @@
 """One step of a scene: detect, differentiate, assemble, condense, solve, move."""
 
-import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -21,6 +20,7 @@ from fibercontact.problem.step import StepProblem
 from fibercontact.rods.interface import AnyState, RodModel, RodStep, System, rod_model
 from fibercontact.rods.model import RootMotion
 from fibercontact.simulation.scene import Body, Motion, Scene
+from fibercontact.simulation.watch import Watch
 
 __all__ = ["SimulationError", "Step", "World", "simulate", "start"]
 
@@ -47,7 +47,7 @@ class Step:
     """One step: the problem it posed (None without contact), the guess it started from, and its answer.
 
     When rods take more than one system a step, these are of the last one; its guess is the impulse of the one
-    before.
+    before. `parts` are the seconds that each part of the step took (see `simulation.watch`).
     """
 
     index: int
@@ -56,7 +56,12 @@ class Step:
     problem: StepProblem | ConstrainedStep | None
     guess: Array  # (3n,)
     run: Run | None
-    seconds: float
+    parts: Mapping[str, float]
+
+    @property
+    def seconds(self) -> float:
+        """What the step took, s."""
+        return sum(self.parts.values())
 
 
 def start(scene: Scene) -> World:
@@ -85,26 +90,28 @@ def simulate(scene: Scene, world: World | None = None, first: int = 0) -> Iterat
 
 def take_step(scene: Scene, solver: GaussSeidel, world: World, index: int) -> Step:
     """Advance a world by one step of its scene; raises `SimulationError` when the motion has blown up."""
-    began = time.perf_counter()
+    watch = Watch()
     end = world.time + scene.dt
     motions = [body.motion(end) for body in world.bodies]
     obstacles = _moving_obstacles(world.bodies, motions)
     rods = rod_model(scene.rods)
     rod_step = rods.begin(world.state, _root_motion(scene, world, motions), scene.gravity(end), scene.dt)
     _check_finite(scene, world, rod_step)
+    watch.lap("rods")
     contacts = detect(
         rods.centreline(world.state, scene.segments), scene.rods.length, scene.rods.radius,
         margin=scene.margin, skip_root=max(scene.skip_root, rods.held_length), obstacles=obstacles,
     )  # fmt: skip
+    watch.lap("detection")
     if len(contacts.gap) == 0:
         rod_step = _without_contact(scene, world, rods, rod_step)
         answer = _Answer(rod_step, None, np.zeros(0), None, np.zeros((0, 3)))
     else:
-        answer = _with_contact(scene, solver, world, rods, rod_step, contacts, obstacles)
+        answer = _with_contact(scene, solver, world, rods, rod_step, contacts, obstacles, watch)
     state, bodies = answer.rod_step.end(), _moved(scene, world, motions)
     moved = World(end, state, bodies, contacts, answer.impulses)
-    seconds = time.perf_counter() - began
-    return Step(index, moved, contacts, answer.problem, answer.guess, answer.run, seconds)
+    watch.lap("rods")
+    return Step(index, moved, contacts, answer.problem, answer.guess, answer.run, watch.seconds)
 
 
 class _Answer(NamedTuple):
@@ -135,14 +142,20 @@ def _with_contact(
     rod_step: RodStep,
     contacts: Contacts,
     obstacles: list[Obstacle],
+    watch: Watch,
 ) -> _Answer:
     """Solve the problems of a step; contacts stay where they are at its beginning."""
     system = _contact_system(scene, rods, rod_step, contacts, obstacles)
     guess = _guess(world, contacts, system.frames)
+    watch.lap("assembly")
     for iteration in range(1, rods.iterations + 1):
         _check_finite(scene, world, rod_step)
+        watch.lap("rods")
         problem = _problem(scene, rod_step.system, contacts, system)
-        run = solver.solve(problem.condense(), guess)
+        condensed = problem.condense()
+        watch.lap("condensation")
+        run = solver.solve(condensed, guess)
+        watch.lap("solve")
         v, impulse = problem.velocities(run.r), system.H.T @ run.r
         shape = rod_step.system.f.shape
         rod_step = rod_step.moved(v.reshape(shape), impulse.reshape(shape))
