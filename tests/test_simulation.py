@@ -7,6 +7,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from fibercontact.contact.obstacles import Plane
@@ -16,7 +17,7 @@ from fibercontact.rods.dynamics import energy
 from fibercontact.rods.model import circular_rods, rest_state
 from fibercontact.simulation import corpus
 from fibercontact.simulation.scene import Body, Motion, Scene, SceneError
-from fibercontact.simulation.scenes import KINDS, SCENES, Parameters, build
+from fibercontact.simulation.scenes import HEADS, KINDS, SCENES, Parameters, build
 from fibercontact.simulation.step import SimulationError, simulate
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -170,6 +171,25 @@ def test_the_corpus_has_306_problems_by_its_rule():
     frictions = sorted({p.mu for p in SCENES.values()})
     assert frictions[0] == 0.0
     assert frictions[-1] == 1.0
+
+
+def test_the_large_set_is_24_problems_of_helices_and_clothoids():
+    large = corpus.SETS["large"]
+    assert len(large.scenes) * large.per_scene == 24
+    assert (large.fewest, large.most) == (3000, 30_000)
+    assert {p.model for p in large.scenes} == {"helix", "clothoid"}
+    assert max(p.fibres for p in large.scenes) == 2000
+    assert len({p.seed for p in large.scenes}) > 4
+    assert len({build(p).name for p in large.scenes}) == len(large.scenes)
+
+
+@pytest.mark.parametrize("name", HEADS)
+def test_a_head_has_its_roots_on_the_scalp_and_none_overlap(name):
+    scene = build(name)
+    roots = scene.state.root_position
+    np.testing.assert_allclose(np.linalg.norm(roots, axis=1), 0.1)
+    distance, _ = KDTree(roots).query(roots, k=2)
+    assert distance[:, 1].min() > 2 * scene.rods.radius[0]
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 17])

@@ -145,11 +145,11 @@ def _say_problems(folder: Path) -> None:
 
 
 def _list_scenes() -> None:
-    from fibercontact.simulation.scenes import KINDS, SCENES
+    from fibercontact.simulation.scenes import HEADS, KINDS, SCENES
 
-    for name, parameters in SCENES.items():
+    for name, parameters in {**SCENES, **HEADS}.items():
         documentation = (KINDS[parameters.kind].__doc__ or "").strip()
-        typer.echo(f"{name:<28}{documentation}")
+        typer.echo(f"{name:<34}{documentation}")
 
 
 @contextmanager

@@ -17,13 +17,14 @@ from fibercontact.problem.fclib import Solution, write
 from fibercontact.problem.step import StepProblem
 from fibercontact.rods.interface import rod_model
 from fibercontact.simulation.scene import Scene, SceneError
-from fibercontact.simulation.scenes import SCENES, Parameters, build
+from fibercontact.simulation.scenes import HEADS, SCENES, Parameters, build
 from fibercontact.simulation.step import Step, World, simulate, start
 from fibercontact.simulation.strands import MODELS
 
 __all__ = [
     "COLUMNS",
     "CORE",
+    "LARGE",
     "SETS",
     "Dump",
     "ProblemSet",
@@ -59,7 +60,10 @@ RODS = ProblemSet(
 )
 """The same two scenes, one of clamped and one of free fibres, with each of the three rod models."""
 
-SETS = {problems.name: problems for problems in (CORE, RODS)}
+LARGE = ProblemSet("large", tuple(HEADS.values()), per_scene=4, fewest=3000, most=30_000)
+"""From heads of hair, two thousand fibres on most: gigabytes and hours, so made where it is wanted."""
+
+SETS = {problems.name: problems for problems in (CORE, RODS, LARGE)}
 """The sets by name."""
 
 COLUMNS = ("file", "scene", "step", "contacts", "dofs", "mu_min", "mu_max", "bytes", "hash")

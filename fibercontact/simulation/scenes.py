@@ -1,4 +1,4 @@
-"""The scenes: six kinds, each a function of the number of fibres, their curl, the friction and a seed.
+"""The scenes: seven kinds, each a function of the number of fibres, their curl, the friction and a seed.
 
 Every fibre starts straight, so that none overlaps another, and curls up as the scene runs. The fibres are
 strands of 0.5 mm radius as heavy for their stiffness as long hair is: the dimensionless weight
@@ -27,7 +27,7 @@ from fibercontact.simulation.strands import (
     turned_frames,
 )
 
-__all__ = ["KINDS", "SCENES", "Parameters", "build"]
+__all__ = ["HEADS", "KINDS", "SCENES", "Parameters", "build"]
 
 Array = NDArray[np.float64]
 
@@ -237,6 +237,19 @@ SCENES: Mapping[str, Parameters] = {_name(p): p for p in _RUNS}
 """The scenes by name: three of each kind."""
 
 
+_HEADS = (
+    Parameters("scalp", 2000, "mixed", 0.3, 0.3, 31),
+    Parameters("scalp", 2000, "curly", 0.1, 0.1, 32),
+    Parameters("scalp", 2000, "straight", 0.2, 0.4, 33),
+    Parameters("scalp", 2000, "mixed", 0.3, 0.3, 31, "clothoid"),
+    Parameters("scalp", 2000, "wavy", 1.0, 0.5, 35, "clothoid"),
+    Parameters("scalp", 1000, "straight", 0.8, 0.8, 36, "clothoid"),
+)
+
+HEADS: Mapping[str, Parameters] = {_name(p): p for p in _HEADS}
+"""Heads of hair of full size by name, with 3000 contacts and more."""
+
+
 def build(scene: str | Parameters) -> Scene:
     """Build a scene from parameters or by its name; `NAME@MODEL` is the same scene with other rods.
 
@@ -244,9 +257,10 @@ def build(scene: str | Parameters) -> Scene:
     """
     if isinstance(scene, str):
         name, _, model = scene.partition("@")
-        if name not in SCENES:
-            raise SceneError(f"unknown scene {name!r} (known: {', '.join(SCENES)})")
-        scene = replace(SCENES[name], model=model or "helix")
+        known = {key.partition("@")[0]: p for key, p in {**HEADS, **SCENES}.items()}
+        if name not in known:
+            raise SceneError(f"unknown scene {name!r} (known: {', '.join(SCENES)}, {', '.join(HEADS)})")
+        scene = replace(known[name], model=model or "helix")
     if scene.kind not in KINDS:
         raise SceneError(f"unknown kind of scene {scene.kind!r} (known: {', '.join(KINDS)})")
     if scene.fibres < 2:
