@@ -87,7 +87,9 @@ def take_step(scene: Scene, solver: GaussSeidel, world: World, index: int) -> St
     motions = [body.motion(end) for body in world.bodies]
     obstacles = _moving_obstacles(world.bodies, motions)
     rods = rod_model(scene.rods)
-    rod_step = rods.begin(world.state, _root_motion(scene, world, motions), scene.gravity(end), scene.dt)
+    root_motion = _root_motion(scene, world, motions)
+    drag = None if scene.air is None else scene.air.drag(end)
+    rod_step = rods.begin(world.state, root_motion, scene.gravity(end), scene.dt, drag)
     _check_finite(scene, world, rod_step)
     contacts = detect(
         rods.centreline(world.state, scene.segments), scene.rods.length, scene.rods.radius,
