@@ -25,6 +25,10 @@ def simulate(
     out: Annotated[
         Path | None, typer.Option(help="Folder for steps.csv and a picture of the last step.")
     ] = None,
+    penalty: Annotated[
+        float | None,
+        typer.Option(help="Explicit penalty contact of this STIFFNESS, N/m.", metavar="STIFFNESS"),
+    ] = None,
 ) -> None:
     """Run a scene: rods, contact, friction.
 
@@ -39,17 +43,19 @@ def simulate(
             return
         from dataclasses import replace
 
+        from fibercontact.simulation.penalty import penalty_for
         from fibercontact.simulation.record import Recorder
         from fibercontact.simulation.scenes import build
         from fibercontact.simulation.step import simulate as run
 
         built = build(scene)
         built = replace(built, steps=min(steps or built.steps, built.steps))
+        springs = None if penalty is None else penalty_for(built, penalty)
         recorder = Recorder(built)
         interrupted = False
         try:
             with _progress(scene, built.steps) as show:
-                for step in run(built):
+                for step in run(built, penalty=springs):
                     recorder.add(step)
                     show(step)
         except KeyboardInterrupt:

@@ -55,7 +55,7 @@ def slender_drag(length: float, radius: float, viscosity: float = AIR) -> tuple[
     more than this. ValueError when the cylinder is not slender, `L < 10 r`, or a number is not positive.
 
     >>> [f"{c:.2e}" for c in slender_drag(length=0.15, radius=4e-5)]
-    ['2.68e-05', '1.52e-05']
+    ['2.69e-05', '1.52e-05']
     """
     if not (0 < radius <= length / 10 < math.inf and 0 < viscosity < math.inf):
         raise ValueError(

@@ -20,6 +20,7 @@ from fibercontact.problem.constrained import ConstrainedStep
 from fibercontact.problem.step import StepProblem
 from fibercontact.rods.interface import AnyState, RodModel, RodStep, System, rod_model
 from fibercontact.rods.model import RootMotion
+from fibercontact.simulation.penalty import Penalty
 from fibercontact.simulation.scene import Body, Motion, Scene
 
 __all__ = ["SimulationError", "Step", "World", "simulate", "start"]
@@ -47,7 +48,7 @@ class Step:
     """One step: the problem it posed (None without contact), the guess it started from, and its answer.
 
     When rods take more than one system a step, these are of the last one; its guess is the impulse of the one
-    before.
+    before. Penalty contact poses no problem: contacts and impulses are those of the world.
     """
 
     index: int
@@ -64,9 +65,12 @@ def start(scene: Scene) -> World:
     return World(0.0, scene.state, tuple(scene.bodies))
 
 
-def simulate(scene: Scene) -> Iterator[Step]:
-    """Run a scene step by step. The same scene gives the same steps, bit for bit, on the same machine."""
-    solver = GaussSeidel(
+def simulate(scene: Scene, *, penalty: Penalty | None = None) -> Iterator[Step]:
+    """Run a scene step by step, with Coulomb's law or with explicit `penalty` contact in its place.
+
+    The same scene gives the same steps, bit for bit, on the same machine.
+    """
+    contact = penalty or GaussSeidel(
         configure("secular", registered()),
         tolerance=scene.tolerance,
         max_sweeps=scene.max_sweeps,
@@ -75,12 +79,12 @@ def simulate(scene: Scene) -> Iterator[Step]:
     )
     world = start(scene)
     for index in range(scene.steps):
-        step = take_step(scene, solver, world, index)
+        step = take_step(scene, contact, world, index)
         yield step
         world = step.world
 
 
-def take_step(scene: Scene, solver: GaussSeidel, world: World, index: int) -> Step:
+def take_step(scene: Scene, contact: GaussSeidel | Penalty, world: World, index: int) -> Step:
     """Advance a world by one step of its scene; raises `SimulationError` when the motion has blown up."""
     began = time.perf_counter()
     end = world.time + scene.dt
@@ -98,8 +102,10 @@ def take_step(scene: Scene, solver: GaussSeidel, world: World, index: int) -> St
     if len(contacts.gap) == 0:
         rod_step = _without_contact(scene, world, rods, rod_step)
         answer = _Answer(rod_step, None, np.zeros(0), None, np.zeros((0, 3)))
+    elif isinstance(contact, Penalty):
+        answer = _with_penalty(scene, contact, world, rods, rod_step, contacts, obstacles)
     else:
-        answer = _with_contact(scene, solver, world, rods, rod_step, contacts, obstacles)
+        answer = _with_contact(scene, contact, world, rods, rod_step, contacts, obstacles)
     state, bodies = answer.rod_step.end(), _moved(scene, world, motions)
     moved = World(end, state, bodies, contacts, answer.impulses)
     seconds = time.perf_counter() - began
@@ -116,14 +122,37 @@ class _Answer(NamedTuple):
     impulses: Array  # (n, 3) world axes
 
 
-def _without_contact(scene: Scene, world: World, rods: RodModel, rod_step: RodStep) -> RodStep:
+def _without_contact(
+    scene: Scene, world: World, rods: RodModel, rod_step: RodStep, impulse: Array | float = 0.0
+) -> RodStep:
+    """Move rods under known impulses `Hᵀ r` (R, D)."""
     for _ in range(rods.iterations):
         _check_finite(scene, world, rod_step)
-        v = rod_step.system.free_velocities()
-        rod_step = rod_step.moved(v, np.zeros_like(v))
+        v = rod_step.system.free_velocities(impulse)
+        rod_step = rod_step.moved(v, np.broadcast_to(impulse, v.shape))
         if rod_step.converged:
             break
     return rod_step
+
+
+def _with_penalty(
+    scene: Scene,
+    penalty: Penalty,
+    world: World,
+    rods: RodModel,
+    rod_step: RodStep,
+    contacts: Contacts,
+    obstacles: list[Obstacle],
+) -> _Answer:
+    """Move rods under the forces that contacts have at the beginning of the step."""
+    system = _contact_system(scene, rods, rod_step, contacts, obstacles, beta=0.0)
+    shape = rod_step.system.f.shape
+    v = world.state.v[:, -shape[1] :]  # prescribed dofs come first
+    u = (system.H @ v.ravel() + system.w).reshape(-1, 3)
+    r = scene.dt * penalty.forces(contacts.gap, u, _friction(scene, contacts))
+    impulse = (system.H.T @ r.ravel()).reshape(shape)
+    moved = _without_contact(scene, world, rods, rod_step, impulse)
+    return _Answer(moved, None, np.zeros(r.size), None, np.einsum("nji,nj->ni", system.frames, r))
 
 
 def _with_contact(
@@ -161,10 +190,14 @@ def _check_finite(scene: Scene, world: World, rod_step: RodStep) -> None:
 def _problem(
     scene: Scene, system: System, contacts: Contacts, contact_system: ContactSystem
 ) -> StepProblem | ConstrainedStep:
-    mu = np.where(contacts.obstacle < 0, scene.mu_fibres, scene.mu_obstacles).astype(float)
+    mu = _friction(scene, contacts)
     step = StepProblem(system.matrix(), system.f.ravel(), contact_system.H, contact_system.w, mu)
     constraints = system.constraints()
     return step if constraints is None else ConstrainedStep(step, *constraints)
+
+
+def _friction(scene: Scene, contacts: Contacts) -> Array:
+    return np.where(contacts.obstacle < 0, scene.mu_fibres, scene.mu_obstacles).astype(float)
 
 
 def _moved(scene: Scene, world: World, motions: list[Motion]) -> tuple[Body, ...]:
@@ -180,16 +213,25 @@ def _moved(scene: Scene, world: World, motions: list[Motion]) -> tuple[Body, ...
 
 
 def _contact_system(
-    scene: Scene, rods: RodModel, rod_step: RodStep, contacts: Contacts, obstacles: list[Obstacle]
+    scene: Scene,
+    rods: RodModel,
+    rod_step: RodStep,
+    contacts: Contacts,
+    obstacles: list[Obstacle],
+    beta: float = 0.2,
 ) -> ContactSystem:
-    """The Jacobians of both sides of every contact, assembled; side B of an obstacle is not read."""
+    """The Jacobians of both sides of every contact, assembled; side B of an obstacle is not read.
+
+    Overlaps are undone at the rate `beta`, as `assemble` says; with zero, `H v + w` is their velocity.
+    """
     jacobian_a, drift_a = rod_step.contact_points(contacts.fibre_a, contacts.s_a)
     jacobian_b, drift_b = rod_step.contact_points(np.maximum(contacts.fibre_b, 0), contacts.s_b)
     of_obstacles = obstacle_drift(contacts, obstacles)
     drift_b = np.where(contacts.obstacle[:, None] < 0, drift_b, of_obstacles)
     system = assemble(
-        contacts, jacobian_a, jacobian_b, drift_a, drift_b, dt=scene.dt, rods=len(scene.rods.length)
-    )
+        contacts, jacobian_a, jacobian_b, drift_a, drift_b,
+        dt=scene.dt, rods=len(scene.rods.length), beta=beta,
+    )  # fmt: skip
     if rods.local_support:
         system.H.eliminate_zeros()
     return system
