@@ -147,7 +147,7 @@ def test_a_stiff_level_rod_falls_on_springs_as_a_particle_does():
         assert step.world.impulses[:, 2].sum() == pytest.approx(dt * force, abs=1e-3 * dt * MASS * GRAVITY)
         assert step.problem is None
         assert step.run is None
-    assert z == pytest.approx(-MASS * GRAVITY / (SEGMENTS + 1) / k, rel=1e-3)  # it has come to rest
+    assert z == pytest.approx(-MASS * GRAVITY / (SEGMENTS + 1) / k, rel=1e-2)  # it has come to rest
 
 
 def test_a_sliding_belt_drags_the_rod_along():
