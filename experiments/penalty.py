@@ -10,7 +10,7 @@ Steps: with velocities of the beginning of the step, springs k and dashpots nu o
     (dt² k + 2 dt nu) lambda_max(H_N M(dt/2)⁻¹ H_Nᵀ) < 4,
 
 M(dt/2) being the matrix of an implicit step of half the size: an oscillation that changes sign at every step is then
-damped. For a mass m on one spring this is dt < 2/sqrt(k/m). The largest step at which a rod comes to rest on a
+damped. For a mass m on one spring this is dt < 2/sqrt(k/m). The largest step at which a rod comes to rest on a smooth
 plane is found by bisection. Beyond it contacts first chatter; the motion blows up when rods gain energy. The largest
 steps without that, kinetic, elastic and potential energy never above what there was at the start, are found for the
 rod, and on a ladder of factors sqrt(2) for fibres that fall on a plane. Writes a figure and two tables.
@@ -48,14 +48,14 @@ THETA, MU, G = math.radians(10.0), 0.5, 9.81
 SEGMENTS, CONTACTS = 6, 7
 WEIGHT = DENSITY * math.pi * RADIUS**2 * LENGTH * G
 COULOMB_DT = 2e-3  # of the rod on the slope
-PLAIN_DTS, SLIP_SPEEDS, SLIP_DT = (2e-4, 5e-5), (1e-2, 1e-3), 1e-4
+PLAIN_DTS, SLIP_SPEEDS, SLIP_DT = (2e-4, 5e-5), (2e-2, 2e-3), 1e-4
 TRIAL = 600  # steps in which a rod on a plane must stay where it is
 LADDER = 2 ** np.arange(0.5, -9, -0.5)  # steps of the falling fibres, in steps of Coulomb's law
 FALL = 0.12  # s
 
 
-def on_slope(theta: float, overlap: float, dt: float, steps: int) -> Scene:
-    """A free rod along a slope, pressed in by `overlap`."""
+def on_slope(theta: float, overlap: float, dt: float, steps: int, mu: float = 0.0) -> Scene:
+    """A free rod along a slope, pressed in by `overlap`, at rest."""
     turn = Rotation.from_rotvec([0.0, theta, 0.0]).as_matrix()
     rods = circular_rods(
         length=LENGTH, radius=RADIUS, young=YOUNG, poisson=0.3, density=DENSITY, elements=3, free=True
@@ -70,7 +70,7 @@ def on_slope(theta: float, overlap: float, dt: float, steps: int) -> Scene:
         dt=dt,
         steps=steps,
         mu_fibres=0.0,
-        mu_obstacles=MU,
+        mu_obstacles=mu,
         segments=SEGMENTS,
         tolerance=1e-10,
     )
@@ -103,7 +103,7 @@ def displacements(slide: Slide, time: float) -> np.ndarray:
     """Way down the slope (steps,) after each step, m."""
     share = WEIGHT * math.cos(THETA) / CONTACTS
     overlap = share / slide.penalty.stiffness if slide.penalty else 0.0
-    scene = on_slope(THETA, overlap, slide.dt, round(time / slide.dt))
+    scene = on_slope(THETA, overlap, slide.dt, round(time / slide.dt), MU)
     down = np.array([math.cos(THETA), 0.0, -math.sin(THETA)])
     ends = [step.world.state.root_position[0] for step in simulate(scene, penalty=slide.penalty)]
     return (np.array(ends) - scene.state.root_position) @ down
@@ -180,8 +180,8 @@ def comes_to_rest(scene: Scene, penalty: Penalty, stored: float) -> bool:
 def largest_step(holds: Callable[[Scene, Penalty, float], bool], penalty: Penalty, near: float) -> float:
     """Largest step that holds for the rod on a plane, by bisection."""
     overlap = WEIGHT / CONTACTS / penalty.stiffness
-    low, high = near / 4, near * 4
-    while high / low > 1.01:
+    low, high = near / 2, near * 2
+    while high / low > 1.02:
         middle = math.sqrt(low * high)
         scene = on_slope(0.0, overlap, middle, TRIAL)
         low, high = (middle, high) if holds(scene, penalty, WEIGHT * overlap / 2) else (low, middle)
@@ -240,12 +240,14 @@ def draw(table: pd.DataFrame, ways: Sequence[np.ndarray], limits: pd.DataFrame) 
     _draw_creep(left, table, ways)
     _draw_limits(middle, limits[limits.scene == "rod"], COULOMB_DT, "a rod at rest on a plane")
     fibres = limits[limits.scene == "fibres"]
-    dt = float(limits[limits.scene == "fibres, Coulomb"]["no gain"].iloc[0])
-    _draw_limits(right, fibres, dt, "fibres that fall on a plane")
+    coulomb = limits[limits.scene == "fibres, Coulomb"].iloc[0]
+    title = f"fibres that fall on a plane; deepest overlap (Coulomb {coulomb.overlap:.2g} r)"
+    _draw_limits(right, fibres, coulomb["no gain"], title)
     for k, dt, overlap in zip(fibres.stiffness, fibres["no gain"], fibres.overlap, strict=True):
         right.annotate(
-            f"{overlap:.2g} r", (k, dt), (0, -14), textcoords="offset points", ha="center", fontsize=7
+            f"{overlap:.2g} r", (k, dt), (0, 7), textcoords="offset points", ha="center", fontsize=7
         )
+    right.margins(x=0.1)
     return figure
 
 
@@ -261,7 +263,8 @@ def _draw_creep(axes: Axes, table: pd.DataFrame, ways: Sequence[np.ndarray]) -> 
     axes.set_ylabel("way down the slope (m)")
     axes.set_title("a slope of 10° that should hold (friction 26.6°)", fontsize=10)
     axes.grid(which="major", color="0.9")
-    axes.legend(fontsize=7, loc="lower right")
+    axes.set_ylim(1e-22, 1e-1)
+    axes.legend(fontsize=7, loc="center right")
 
 
 def _draw_limits(axes: Axes, rows: pd.DataFrame, coulomb: float, title: str) -> None:
