@@ -22,6 +22,7 @@ import argparse
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import cycle
 from pathlib import Path
 from typing import NamedTuple
 
@@ -50,8 +51,9 @@ WEIGHT = DENSITY * math.pi * RADIUS**2 * LENGTH * G
 COULOMB_DT = 2e-3  # of the rod on the slope
 PLAIN_DTS, SLIP_SPEEDS, SLIP_DT = (2e-4, 5e-5), (2e-2, 2e-3), 1e-4
 TRIAL = 600  # steps in which a rod on a plane must stay where it is
-LADDER = 2 ** np.arange(0.5, -9, -0.5)  # steps of the falling fibres, in steps of Coulomb's law
+LADDER = 2 ** np.arange(0.5, -9, -0.5)  # steps of the falling fibres, in the scene's
 FALL = 0.12  # s
+COULOMB_SHARES = (1.0, 0.5, 0.25, 0.125)  # steps of the falling fibres under Coulomb's law, in the scene's
 
 
 def on_slope(theta: float, overlap: float, dt: float, steps: int, mu: float = 0.0) -> Scene:
@@ -216,12 +218,14 @@ def largest_of_ladder(fibres: int, penalty: Penalty) -> tuple[float, float]:
 
 
 def fall_limits(stiffness: Sequence[float], fibres: int) -> pd.DataFrame:
+    rows = []
+    for share in COULOMB_SHARES:
+        dt = share * falling(fibres).dt
+        passive, overlap = watched(falling(fibres, dt), None)
+        if not passive:
+            raise RuntimeError("Coulomb's law has gained energy")
+        rows.append({"scene": "fibres, Coulomb", "no gain": dt, "overlap": overlap})
     scene = falling(fibres)
-    passive, overlap = watched(scene, None)
-    if not passive:
-        raise RuntimeError("Coulomb's law has gained energy")
-    coulomb = {"no gain": scene.dt, "overlap": overlap}
-    rows = [{"scene": "fibres, Coulomb", "stiffness": math.inf, "theory": math.inf} | coulomb]
     touch = touching(scene)
     for k in stiffness:
         penalty = penalty_for(scene, k)
@@ -238,16 +242,8 @@ def draw(table: pd.DataFrame, ways: Sequence[np.ndarray], limits: pd.DataFrame) 
     figure = Figure(figsize=(12.0, 3.9), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
     _draw_creep(left, table, ways)
-    _draw_limits(middle, limits[limits.scene == "rod"], COULOMB_DT, "a rod at rest on a plane")
-    fibres = limits[limits.scene == "fibres"]
-    coulomb = limits[limits.scene == "fibres, Coulomb"].iloc[0]
-    title = f"fibres that fall on a plane; deepest overlap (Coulomb {coulomb.overlap:.2g} r)"
-    _draw_limits(right, fibres, coulomb["no gain"], title)
-    for k, dt, overlap in zip(fibres.stiffness, fibres["no gain"], fibres.overlap, strict=True):
-        right.annotate(
-            f"{overlap:.2g} r", (k, dt), (0, 7), textcoords="offset points", ha="center", fontsize=7
-        )
-    right.margins(x=0.1)
+    _draw_rod(middle, limits[limits.scene == "rod"])
+    _draw_fibres(right, limits[limits.scene == "fibres"], limits[limits.scene == "fibres, Coulomb"])
     return figure
 
 
@@ -267,17 +263,33 @@ def _draw_creep(axes: Axes, table: pd.DataFrame, ways: Sequence[np.ndarray]) -> 
     axes.legend(fontsize=7, loc="center right")
 
 
-def _draw_limits(axes: Axes, rows: pd.DataFrame, coulomb: float, title: str) -> None:
-    axes.axhline(coulomb, color=COLOURS[0], linewidth=1.4, label="Coulomb, step of the scene")
+def _draw_rod(axes: Axes, rows: pd.DataFrame) -> None:
+    axes.axhline(COULOMB_DT, color=COLOURS[0], linewidth=1.4, label="Coulomb, the step used")
     axes.loglog(rows.stiffness, rows.theory, color="0.5", linestyle=":", label="penalty, theory")
-    if rows.rest.notna().any():
-        axes.loglog(rows.stiffness, rows.rest, "s", color=COLOURS[4], label="penalty, comes to rest")
+    axes.loglog(rows.stiffness, rows.rest, "s", color=COLOURS[4], label="penalty, comes to rest")
     axes.loglog(rows.stiffness, rows["no gain"], "o", color=COLOURS[5], label="penalty, gains no energy")
     axes.set_xlabel("stiffness (N/m)")
+    _finish_steps(axes, "a rod at rest on a plane")
+
+
+def _draw_fibres(axes: Axes, penalty: pd.DataFrame, coulomb: pd.DataFrame) -> None:
+    axes.loglog(coulomb.overlap, coulomb["no gain"], "-D", color=COLOURS[0], label="Coulomb")
+    axes.loglog(penalty.overlap, penalty["no gain"], "o", color=COLOURS[5], label="penalty, gains no energy")
+    axes.loglog(penalty.overlap, penalty.theory, "_", color="0.5", label="penalty, theory")
+    points = zip(penalty.stiffness, penalty[["overlap", "no gain"]].to_numpy(), cycle((-1, 1)))
+    for k, at, side in points:
+        style = {"textcoords": "offset points", "va": "center", "fontsize": 7}
+        axes.annotate(f"{k:g} N/m", at, (7 * side, 0), ha="left" if side > 0 else "right", **style)
+    axes.margins(x=0.2, y=0.1)
+    axes.set_xlabel("deepest overlap (radii)")
+    _finish_steps(axes, "fibres that fall on a plane")
+
+
+def _finish_steps(axes: Axes, title: str) -> None:
     axes.set_ylabel("dt (s)")
     axes.set_title(title, fontsize=10)
     axes.grid(which="major", color="0.9")
-    axes.legend(fontsize=7, loc="lower left")
+    axes.legend(fontsize=7)
 
 
 def main() -> None:
