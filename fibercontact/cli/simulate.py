@@ -53,6 +53,10 @@ def simulate(
     restart: Annotated[
         bool, typer.Option("--restart", help="Go on from OUT/checkpoint.h5, bit for bit.")
     ] = False,
+    penalty: Annotated[
+        float | None,
+        typer.Option(help="Explicit penalty contact of this STIFFNESS, N/m.", metavar="STIFFNESS"),
+    ] = None,
 ) -> None:
     """Run a scene: rods, contact, friction.
 
@@ -70,6 +74,7 @@ def simulate(
         from dataclasses import replace
 
         from fibercontact.simulation.checkpoint import CHECKPOINT, load_checkpoint, save_checkpoint
+        from fibercontact.simulation.penalty import penalty_for
         from fibercontact.simulation.record import Recorder
         from fibercontact.simulation.scene_file import open_scene
         from fibercontact.simulation.step import simulate as run
@@ -77,6 +82,7 @@ def simulate(
         every = _every(dump)
         built = open_scene(scene)
         built = replace(built, steps=min(steps or built.steps, built.steps))
+        springs = None if penalty is None else penalty_for(built, penalty)
         checkpoints = checkpoint_every is not None or restart
         if out is None and (every or checkpoints):
             out = Path("runs") / built.name
@@ -92,7 +98,7 @@ def simulate(
         interrupted = False
         try:
             with progress_of(built.name, built.steps, first) as show:
-                for step in run(built, world, first):
+                for step in run(built, world, first, penalty=springs):
                     recorder.add(step)
                     write(step)
                     show(step)
