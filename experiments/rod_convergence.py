@@ -18,7 +18,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 from rods import references
-from rods.models import MODELS, POISSON, RADIUS, Case, Model
+from rods.cases import POISSON, RADIUS, Case
+from rods.models import MODELS, Model
 
 from fibercontact.bench.figures import COLOURS, MARKERS, save
 

@@ -22,7 +22,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rods import references
-from rods.models import MODELS, POISSON, Case, Model
+from rods.cases import POISSON, Case
+from rods.models import MODELS, Model
 
 from fibercontact.bench.figures import COLOURS, MARKERS, save
 

@@ -1,6 +1,6 @@
 """What the rods are measured by: boundary-value problems of Kirchhoff's rod, solved by `solve_bvp`.
 
-Nothing of the package is used. Units and clamped root as in `models`.
+Nothing of the package is used. Units and clamped root as in `cases`.
 """
 
 from collections.abc import Callable
