@@ -85,7 +85,9 @@ class DiscreteRod:
         difference = np.diff(np.eye(elements), axis=0)
         stiffness = difference.T * (rods.stiffness[0, 0] / rods.cells[0]) @ difference
         inertia = np.diag(split(rods.inertia)[1][0])
-        return float(np.sqrt(eigh(stiffness, inertia, eigvals_only=True)[1]))  # the first is that of a rigid body
+        return float(
+            np.sqrt(eigh(stiffness, inertia, eigvals_only=True)[1])
+        )  # the first is that of a rigid body
 
     def _rods(self, elements: int, case: Case, free: bool = False) -> DiscreteRods:
         return discrete_rods(
