@@ -3,7 +3,7 @@
 Nothing of the package is used. Units and clamped root as in `cases`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -181,14 +181,17 @@ class DraggedRod:
 
     def forces(self, drags: Array) -> Array:
         """T and N (m, 2) at growing distances d."""
+        return np.array([force for _, force in self.follow(drags)])
+
+    def follow(self, drags: Array) -> Iterator[tuple[Array, Array]]:
+        """Values (4, 101) of phi, its slope, x and z along the rod, and (T, N), at growing distances d."""
         touch = self._natural[3, -1]
-        stages = [(0.0, touch + share * (self._floor - touch)) for share in np.linspace(0.04, 1, 25) ** 2]
-        stages += [(d, self._floor) for d in drags]
-        shape, force, found = self._natural, np.zeros(2), []
-        for d, floor in stages:
+        pressing = [(0.0, touch + share * (self._floor - touch)) for share in np.linspace(0.04, 1, 25) ** 2]
+        shape, force = self._natural, np.zeros(2)
+        for k, (d, floor) in enumerate([*pressing, *((d, self._floor) for d in drags)]):
             shape, force = self._balance(shape, force, self._natural[2, -1] + d, floor)
-            found.append(force)
-        return np.array(found[25:])
+            if k >= len(pressing):
+                yield shape, force
 
     def onset(self, mu: Array, most: float = 0.4) -> Array:
         """Distances at which the tip slips, for coefficients that T/N does not exceed before."""
