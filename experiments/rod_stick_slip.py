@@ -94,7 +94,7 @@ def drag(model: str, elements: int, mu: float) -> Drag:
     def shape(state: AnyState) -> np.ndarray:
         return rod_model(of_scene.rods).centreline(state, 40)[0]
 
-    rows, shapes, last = [], [shape(of_scene.state)], of_scene.state
+    rows, shapes, last, sticking = [], [shape(of_scene.state)], of_scene.state, of_scene.state
     for step in simulate(of_scene):
         state, force = step.world.state, contact_force(step, DT)
         slip = abs(tip(of_scene, state)[0, 0] - start)
@@ -105,8 +105,8 @@ def drag(model: str, elements: int, mu: float) -> Drag:
             shapes.append(shape(state))
         if slip > GONE:
             break
-        last = state
-    return Drag(*np.array(rows)[pressed:].T, [*shapes, shape(last)])
+        last, sticking = state, state if slip < GONE / 100 else sticking
+    return Drag(*np.array(rows)[pressed:].T, [*shapes, shape(sticking)])
 
 
 def measure(meshes: list[int], mus: list[float]) -> tuple[pd.DataFrame, dict[tuple[str, float], Drag]]:
@@ -158,15 +158,15 @@ def _draw_forces(axes: Axes, runs: dict[tuple[str, float], Drag], mus: list[floa
     T, N = references.DraggedRod(DIP, BEND, DEPTH).forces(d).T
     axes.plot(d, T / N, color="0.3", linewidth=1.2, label="elastica with a hinge (solve_bvp)")
     for k, model in enumerate(MODELS):
-        for mu in mus:
-            run = runs[model, mu]
-            shown = run.slip < GONE / 2
-            # Models at different places, or they would hide each other.
-            points = np.flatnonzero(shown)[5 + 4 * k :: 14]
-            axes.plot(
-                run.way[points], run.T[points] / run.N[points], MARKERS[k], color=PALETTE[k], markersize=4.5,
-                label=model if mu == mus[0] else None,
-            )  # fmt: skip
+        run = runs[model, mus[-1]]
+        sticking = np.flatnonzero(run.slip < GONE / 100)
+        # Models at different places, or they would hide each other.
+        points = sticking[
+            np.searchsorted(run.way[sticking], np.arange(0.01 + 0.01 * k, run.way[sticking[-1]], 0.03))
+        ]
+        axes.plot(
+            run.way[points], run.T[points] / run.N[points], MARKERS[k], color=PALETTE[k], markersize=5, label=model
+        )  # fmt: skip
     for mu in mus:
         axes.axhline(mu, color="0.8", linewidth=0.8, zorder=0)
         axes.annotate(f"mu = {mu:g}", (0.0, mu), fontsize=7.5, color="0.4", va="bottom")
