@@ -5,7 +5,7 @@ slides with the acceleration g (sin theta − mu cos theta). The threshold is so
 0.9° above it: the rod slides when after 0.1 s it is faster than 1e-5 g t (what an excess of 0.0006° gives). Writes
 a figure and a table.
 
-    python experiments/rod_incline.py [--mus 0.1,0.3,0.5,1] [--out results/rods]
+    python experiments/rod_incline.py [--mus 0.1,0.3,0.5,1] [--resolution 0.005] [--out results/rods]
 """
 
 import argparse
@@ -26,7 +26,6 @@ from fibercontact.simulation.step import simulate
 
 GRAVITY, DT, STEPS, ELEMENTS = 9.81, 5e-3, 20, 4
 RADIUS, LENGTH = 1e-3, 0.1
-FINE = 0.005  # degrees
 LAID = ("along", "across")
 
 
@@ -54,20 +53,20 @@ def speed(model: str, degrees: float, mu: float, laid: str) -> float:
     return float(np.linalg.norm(np.mean(middle[1] - middle[0], axis=0)) / DT / (GRAVITY * last.time))
 
 
-def threshold(model: str, mu: float, laid: str) -> float:
+def threshold(model: str, mu: float, laid: str, resolution: float) -> float:
     """Angle in degrees at which the rod begins to slide."""
     low, high = np.degrees(np.arctan(mu)) + np.array([-1.3, 0.9])
-    while high - low > FINE:
+    while high - low > resolution:
         middle = (low + high) / 2
         low, high = (low, middle) if speed(model, middle, mu, laid) > 1e-5 else (middle, high)
     return (low + high) / 2
 
 
-def measure(mus: list[float]) -> pd.DataFrame:
-    rows = [
-        (f"incline, mu = {mu:g}, {laid} it", model, ELEMENTS, threshold(model, mu, laid), np.degrees(np.arctan(mu)))
-        for model, mu, laid in product(MODELS, mus, LAID)
-    ]  # fmt: skip
+def measure(mus: list[float], resolution: float) -> pd.DataFrame:
+    rows = []
+    for model, mu, laid in product(MODELS, mus, LAID):
+        found = threshold(model, mu, laid, resolution)
+        rows.append((f"incline, mu = {mu:g}, {laid} it", model, ELEMENTS, found, np.degrees(np.arctan(mu))))
     table = with_errors(rows).drop(columns="order")
     table["degrees"] = table.value - table.reference
     return table
@@ -77,7 +76,7 @@ def draw(table: pd.DataFrame, mu: float) -> Figure:
     figure = Figure(figsize=(9.0, 3.4), layout="constrained")
     speeds, thresholds = figure.subplots(1, 2)
     exact = np.degrees(np.arctan(mu))
-    excess = np.linspace(-0.3, 0.3, 13)
+    excess = np.linspace(-0.3, 0.3, 7)
     fine = np.radians(exact + np.linspace(-0.3, 0.3, 301))
     coulomb = np.maximum(np.sin(fine) - mu * np.cos(fine), 0)
     speeds.plot(np.degrees(fine) - exact, 1e3 * coulomb, color="0.3", linewidth=1.2, label="Coulomb")
@@ -108,10 +107,11 @@ def main() -> None:
     parser.add_argument(
         "--mus", default="0.1,0.3,0.5,1", help="coefficients of friction; the middle one is drawn"
     )
+    parser.add_argument("--resolution", type=float, default=0.005, help="of the bisection, in degrees")
     parser.add_argument("--out", type=Path, default=Path("results/rods"))
     given = parser.parse_args()
     mus = [float(x) for x in given.mus.split(",")]
-    table = measure(mus)
+    table = measure(mus, given.resolution)
     given.out.mkdir(parents=True, exist_ok=True)
     table.to_csv(given.out / "incline.csv", index=False, float_format="%.6g")
     print(table.to_string(index=False, float_format="{:.6g}".format))

@@ -7,7 +7,7 @@ problem. What follows is a snap: the rod lets go of its energy. Two things are m
 stopped at 0.3 L, and the distance at which the tip slips when the clamp goes on, in about 25 periods of the rod.
 Times are in units of sqrt(rho S L⁴/EI). Writes a figure and a table.
 
-    python experiments/rod_stick_slip.py [--elements 8,16,32] [--mus 0.2,0.3,0.4,0.5] [--out results/rods]
+    python experiments/rod_stick_slip.py [--elements 8,16,32] [--mus 0.2,0.3,0.4,0.5] [--dt 0.02] [--out results/rods]
 """
 
 import argparse
@@ -31,10 +31,11 @@ from fibercontact.simulation.scene import Motion, Scene
 from fibercontact.simulation.step import simulate
 
 DIP, BEND, DEPTH, DRAG, STOP = np.radians(75.0), 0.2, 0.2, 0.4, 0.3
-TIMES, DT = (5.0, 10.0), 0.02  # of pressing, of dragging
+TIMES = (5.0, 10.0)  # of pressing, of dragging
 HOLD = 5.0  # until all is at rest
 GONE = 0.02  # slip at which a run is over
 UP = np.array([0.0, 0.0, 1.0])
+REFERENCE = references.DraggedRod(DIP, BEND, DEPTH)
 
 
 class Drag(NamedTuple):
@@ -56,7 +57,9 @@ class Drag(NamedTuple):
         return float(np.polynomial.Polynomial.fit(ratio[before], self.way[before], 1)(mu))
 
 
-def pressed_rod(model: str, elements: int, mu: float, drag: float, hold: float, damping: float) -> Scene:
+def pressed_rod(
+    model: str, elements: int, mu: float, way: float, hold: float, dt: float, damping: float
+) -> Scene:
     """The rod with its tip on the floor, at the very point where the model has it; the clamp moves, then rests."""
     rod = Rod(rest_curvature=-BEND, angle=-DIP, damping=damping)
     rods, state = rod.build(model, elements)
@@ -66,11 +69,11 @@ def pressed_rod(model: str, elements: int, mu: float, drag: float, hold: float, 
         """Down, then back, each with a smooth beginning and end."""
         if time < TIMES[0] * (1 + 1e-9):
             return Motion(smooth(DEPTH, TIMES[0], time) * np.array([0.0, 0.0, -1.0]), np.zeros(3))
-        return Motion(smooth(drag, TIMES[1], time - TIMES[0]) * np.array([-1.0, 0.0, 0.0]), np.zeros(3))
+        return Motion(smooth(way, TIMES[1], time - TIMES[0]) * np.array([-1.0, 0.0, 0.0]), np.zeros(3))
 
-    steps = round((sum(TIMES) + hold) / DT)
+    steps = round((sum(TIMES) + hold) / dt)
     floor = Plane(low * UP, UP)
-    return scene(rods, state, floor, mu=mu, dt=DT, steps=steps, clamp=clamp, segments=8, tolerance=1e-8)
+    return scene(rods, state, floor, mu=mu, dt=dt, steps=steps, clamp=clamp, segments=8, tolerance=1e-8)
 
 
 def smooth(way: float, duration: float, time: float) -> float:
@@ -78,25 +81,25 @@ def smooth(way: float, duration: float, time: float) -> float:
     return way / duration * (1 - np.cos(2 * np.pi * time / duration)) if time < duration * (1 + 1e-9) else 0.0
 
 
-def forces_at_rest(model: str, elements: int) -> float:
+def forces_at_rest(model: str, elements: int, dt: float) -> float:
     """T/N after the clamp has stopped."""
-    of_scene = pressed_rod(model, elements, 1.0, STOP, HOLD, damping=0.05)
+    of_scene = pressed_rod(model, elements, 1.0, STOP, HOLD, dt, damping=0.05)
     *_, last = simulate(of_scene)
-    force = contact_force(last, DT)
+    force = contact_force(last, dt)
     return float(-force[0] / force[2])
 
 
-def drag(model: str, elements: int, mu: float) -> Drag:
+def drag(model: str, elements: int, mu: float, dt: float) -> Drag:
     """Run until the tip has slipped."""
-    of_scene = pressed_rod(model, elements, mu, DRAG, 0.0, damping=0.01)
-    start, pressed = tip(of_scene, of_scene.state)[0, 0], round(TIMES[0] / DT)
+    of_scene = pressed_rod(model, elements, mu, DRAG, 0.0, dt, damping=0.01)
+    start, pressed = tip(of_scene, of_scene.state)[0, 0], round(TIMES[0] / dt)
 
     def shape(state: AnyState) -> np.ndarray:
         return rod_model(of_scene.rods).centreline(state, 40)[0]
 
     rows, shapes, last, sticking = [], [shape(of_scene.state)], of_scene.state, of_scene.state
     for step in simulate(of_scene):
-        state, force = step.world.state, contact_force(step, DT)
+        state, force = step.world.state, contact_force(step, dt)
         slip = abs(tip(of_scene, state)[0, 0] - start)
         # A linearly implicit step balances forces where it begins, an implicit one where it ends.
         balanced = state if isinstance(state, DiscreteState) else last
@@ -109,17 +112,24 @@ def drag(model: str, elements: int, mu: float) -> Drag:
     return Drag(*np.array(rows)[pressed:].T, [*shapes, shape(sticking)])
 
 
-def measure(meshes: list[int], mus: list[float]) -> tuple[pd.DataFrame, dict[tuple[str, float], Drag]]:
+def measure(
+    meshes: list[int], mus: list[float], dt: float
+) -> tuple[pd.DataFrame, dict[tuple[str, float], Drag]]:
     """T/N at rest of every model on all meshes, and the onsets on the middle one."""
-    reference = references.DraggedRod(DIP, BEND, DEPTH)
-    T, N = reference.forces(np.linspace(0, STOP, 31))[-1]
+    T, N = REFERENCE.forces(STOP)
     rest = [
-        (f"T/N of the sticking tip, d = {STOP:g} L", model, elements, forces_at_rest(model, elements), T / N)
+        (
+            f"T/N of the sticking tip, d = {STOP:g} L",
+            model,
+            elements,
+            forces_at_rest(model, elements, dt),
+            T / N,
+        )
         for model, elements in product(MODELS, meshes)
     ]
     middle = meshes[len(meshes) // 2]
-    runs = {(model, mu): drag(model, middle, mu) for model, mu in product(MODELS, mus)}
-    exact = dict(zip(mus, reference.onset(np.array(mus)), strict=True))
+    runs = {(model, mu): drag(model, middle, mu, dt) for model, mu in product(MODELS, mus)}
+    exact = dict(zip(mus, REFERENCE.onset(np.array(mus)), strict=True))
     onsets = [
         (f"onset of slip d/L, mu = {mu:g}", model, middle, run.onset(mu), exact[mu])
         for (model, mu), run in runs.items()
@@ -155,7 +165,7 @@ def _draw_shapes(axes: Axes, run: Drag, mu: float) -> None:
 
 def _draw_forces(axes: Axes, runs: dict[tuple[str, float], Drag], mus: list[float]) -> None:
     d = np.linspace(0, 0.38, 39)
-    T, N = references.DraggedRod(DIP, BEND, DEPTH).forces(d).T
+    T, N = REFERENCE.forces(d).T
     axes.plot(d, T / N, color="0.3", linewidth=1.2, label="elastica with a hinge (solve_bvp)")
     for k, model in enumerate(MODELS):
         run = runs[model, mus[-1]]
@@ -178,7 +188,7 @@ def _draw_forces(axes: Axes, runs: dict[tuple[str, float], Drag], mus: list[floa
 
 def _draw_onsets(axes: Axes, table: pd.DataFrame, elements: int) -> None:
     fine = np.linspace(0.1, 0.6, 51)
-    axes.plot(fine, references.DraggedRod(DIP, BEND, DEPTH).onset(fine), color="0.3", linewidth=1.2)
+    axes.plot(fine, REFERENCE.onset(fine), color="0.3", linewidth=1.2)
     for k, model in enumerate(MODELS):
         onsets = table[table.quantity.str.startswith("onset") & (table.elements == elements)]
         rows = onsets[onsets.model == model]
@@ -200,10 +210,11 @@ def main() -> None:
     )
     parser.add_argument("--elements", default="8,16,32", help="meshes of the table; the middle one is drawn")
     parser.add_argument("--mus", default="0.2,0.3,0.4,0.5", help="coefficients of friction")
+    parser.add_argument("--dt", type=float, default=0.02, help="time step")
     parser.add_argument("--out", type=Path, default=Path("results/rods"))
     given = parser.parse_args()
     meshes = [int(x) for x in given.elements.split(",")]
-    table, runs = measure(meshes, [float(x) for x in given.mus.split(",")])
+    table, runs = measure(meshes, [float(x) for x in given.mus.split(",")], given.dt)
     given.out.mkdir(parents=True, exist_ok=True)
     table.to_csv(given.out / "stick_slip.csv", index=False, float_format="%.6g")
     print(table.to_string(index=False, float_format="{:.6g}".format))

@@ -4,6 +4,7 @@ Nothing of the package is used. Units and clamped root as in `cases`.
 """
 
 from collections.abc import Callable, Iterator
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -179,9 +180,17 @@ class DraggedRod:
         a, b = self.dip, self.dip + self.bend * s
         return np.array([np.sin(b) - np.sin(a), np.cos(a) - np.cos(b)]) / self.bend
 
-    def forces(self, drags: Array) -> Array:
-        """T and N (m, 2) at growing distances d."""
-        return np.array([force for _, force in self.follow(drags)])
+    @cached_property
+    def forces(self) -> CubicSpline:
+        """T and N (m, 2) as a function of distances up to 0.4."""
+        drags = np.linspace(0, 0.4, 81)
+        return CubicSpline(drags, [force for _, force in self.follow(drags)])
+
+    def onset(self, mu: Array) -> Array:
+        """Distances at which the tip slips, for coefficients that T/N grows to."""
+        drags = self.forces.x
+        T, N = self.forces(drags).T
+        return CubicSpline(T / N, drags)(mu)
 
     def follow(self, drags: Array) -> Iterator[tuple[Array, Array]]:
         """Values (4, 101) of phi, its slope, x and z along the rod, and (T, N), at growing distances d."""
@@ -192,12 +201,6 @@ class DraggedRod:
             shape, force = self._balance(shape, force, self._natural[2, -1] + d, floor)
             if k >= len(pressing):
                 yield shape, force
-
-    def onset(self, mu: Array, most: float = 0.4) -> Array:
-        """Distances at which the tip slips, for coefficients that T/N does not exceed before."""
-        drags = np.linspace(0, most, 81)
-        T, N = self.forces(drags).T
-        return CubicSpline(T / N, drags)(mu)
 
     def _balance(self, guess: Array, force: Array, x: float, z: float) -> tuple[Array, Array]:
         """Values (4, 101) and (T, N) with the tip at a place, from those at a place near it."""
