@@ -18,7 +18,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 from rods import references
-from rods.models import MODELS, POISSON, RADIUS, Case, Model
+from rods.cases import POISSON, RADIUS, Case
+from rods.models import MODELS, Model
 
 from fibercontact.bench.figures import COLOURS, MARKERS, save
 
@@ -78,20 +79,22 @@ def draw(table: pd.DataFrame) -> Figure:
         for k, name in enumerate(MODELS):
             for test in tests:
                 curve = table[(table.model == name) & (table.test == test)]
-                label = f"{name}, {test.split()[0]}" if len(tests) > 1 else name
+                label = None if test == "twist frequency" else name
                 axes.loglog(
                     curve.dofs, curve.error, color=PALETTE[k], marker=MARKERS[k], markersize=5,
                     linestyle="--" if test == "twist frequency" else "-", label=label,
                 )  # fmt: skip
-                if test != "twist frequency":
+                if test != "twist frequency" and name != "Discrete rod":
                     _draw_slope(axes, curve)
         axes.set_title(title, fontsize=10)
         axes.set_xlabel("degrees of freedom")
         axes.set_xticks([12, 24, 48, 96], ["12", "24", "48", "96"])
+        if len(tests) > 1:
+            axes.plot([], [], "--", color="0.4", label="dashed: twist")
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.grid(which="major", color="0.9")
         axes.legend(fontsize=7, loc="lower left", handlelength=3.2)
-        axes.set_ylim(1e-9, 0.2)
+        axes.set_ylim(3e-10, 0.6)
         if title == "heavy elastica":
             axes.set_ylabel("error, in lengths; relative for frequencies")
     return figure

@@ -22,7 +22,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rods import references
-from rods.models import MODELS, POISSON, Case, Model
+from rods.cases import POISSON, Case
+from rods.models import MODELS, Model
+from rods.tables import with_errors
 
 from fibercontact.bench.figures import COLOURS, MARKERS, save
 
@@ -81,12 +83,7 @@ def accuracy(meshes: list[int]) -> pd.DataFrame:
                 near = reference_transition(branch, TABLED_BEND)
                 value = transition(model, N, TABLED_BEND, branch, near)
                 rows.append((f"Gamma of {branch}, kappa L = {TABLED_BEND:g}", name, N, value, near))
-    table = pd.DataFrame(rows, columns=["quantity", "model", "elements", "value", "reference"])
-    table["error"] = abs(table.value / table.reference - 1)
-    errors = table.groupby(["quantity", "model"]).error
-    sizes = table.groupby(["quantity", "model"]).elements
-    table["order"] = np.log(errors.shift() / table.error) / np.log(table.elements / sizes.shift())
-    return table.sort_values(["quantity", "model", "elements"], kind="stable")
+    return with_errors(rows)
 
 
 def diagram(elements: int, bends: list[float]) -> pd.DataFrame:

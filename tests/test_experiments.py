@@ -24,6 +24,11 @@ SMALL = {
     "rod_convergence.py": ["--most", "8", "--out", "figure"],
     "penalty.py": ["--time", "0.01", "--stiffness", "300", "--fibres", "2", "--out", "figure"],
     "rod_validation.py": ["--elements", "6,8", "--bends", "8", "--curve", "1", "--out", "figure"],
+    "rod_stick_slip.py": ["--elements", "4", "--mus", "0.3", "--dt", "0.1", "--out", "figure"],
+    "rod_capstan.py": ["--meshes", "4", "--cases", "0.3:1", "--out", "figure"],
+    "rod_incline.py": ["--mus", "0.5", "--resolution", "0.1", "--out", "figure"],
+    "rod_energy.py": ["--steps", "60", "--out", "figure"],
+    "rod_table.py": ["--tables", ROOT / "results" / "rods", "--out", "table"],
 }
 
 

@@ -1,8 +1,6 @@
 """Rod models under one face, so that a validation asks each of them the same questions: `MODELS`.
 
-The rods are dimensionless: length, bending stiffness EI and mass per unit length are 1, the twist stiffness
-GJ is 1/(1 + POISSON). A weight of Gamma = rho S g L³/EI is a gravity of Gamma; a curvature is in turns of
-1/L radians. Roots are clamped at the origin with the frame of the world: the tangent is x, n_1 is y, n_2 is z.
+Rods and roots are those of `cases`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -11,6 +9,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from rods.cases import POISSON, RADIUS, Case
+from rods.discrete import DiscreteRod
 from scipy.linalg import eigh
 
 from fibercontact.rods import (
@@ -28,16 +28,8 @@ from fibercontact.rods import (
 )
 
 Array = NDArray[np.float64]
-POISSON, RADIUS = 0.5, 0.01
 _STEP = 1e-5  # of the differences that give the Hessian
 _CHUNK = 24  # rods in a batch
-
-
-class Case(NamedTuple):
-    """What an equilibrium depends on: the rest curvature `(tau, kappa_1, kappa_2)` and gravity."""
-
-    curvature: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 class Equilibrium(Protocol):
@@ -122,7 +114,7 @@ class CurvatureRod:
             return Balance(rods, state, case)
         if depth == 8:
             raise RuntimeError(f"no equilibrium of {case} was found")
-        middle = Case(*(tuple(np.add(a, b) / 2) for a, b in zip(start.case, case, strict=True)))
+        middle = start.case.halfway(case)
         return self._reach(case, elements, self._reach(middle, elements, start, depth + 1), depth + 1)
 
     def bending_frequency(self, elements: int) -> float:
@@ -155,6 +147,7 @@ class CurvatureRod:
 MODELS: dict[str, Model] = {
     "Super-Helix": CurvatureRod(HELIX, order=2),
     "Super-Clothoid": CurvatureRod(CLOTHOID, order=4),
+    "Discrete rod": DiscreteRod(),
 }
 
 

@@ -1,13 +1,15 @@
 """What the rods are measured by: boundary-value problems of Kirchhoff's rod, solved by `solve_bvp`.
 
-Nothing of the package is used. Units and clamped root as in `models`.
+Nothing of the package is used. Units and clamped root as in `cases`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_bvp, solve_ivp
+from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
 Array = NDArray[np.float64]
@@ -152,3 +154,81 @@ def first_zero(function: Callable[[float], float], start: float, factor: float, 
         if function(a) < 0:
             return brentq(function, min(a, b), max(a, b), xtol=1e-10, rtol=1e-10)
     raise RuntimeError("no zero was found")
+
+
+class DraggedRod:
+    """The plane elastica pressed on a floor and dragged along it: the tip sticks, then slips.
+
+    A weightless rod of natural curvature `bend` is clamped with its tangent `dip` below the x axis, so that
+    its natural shape touches the floor. The clamp goes down by `depth`, then back by d. While the tip sticks it is a
+    hinge: with the angle phi below the x axis and the floor's force (−T, N) on the tip,
+
+        phi'' = N cos phi − T sin phi,   phi(0) = dip,   phi'(1) = bend,
+
+    and the place of the tip gives T and N. It slips when T/N reaches mu.
+    """
+
+    def __init__(self, dip: float, bend: float, depth: float) -> None:
+        self.dip, self.bend = dip, bend
+        s = np.linspace(0, 1, 101)
+        phi = dip + bend * s
+        self._natural = np.array([phi, 0 * s + bend, self._along(s)[0], self._along(s)[1]])
+        self._floor = self._natural[3, -1] - depth
+
+    def _along(self, s: Array) -> Array:
+        """Natural shape, an arc: x forwards and z downwards."""
+        a, b = self.dip, self.dip + self.bend * s
+        return np.array([np.sin(b) - np.sin(a), np.cos(a) - np.cos(b)]) / self.bend
+
+    @cached_property
+    def forces(self) -> CubicSpline:
+        """T and N (m, 2) as a function of distances up to 0.4."""
+        drags = np.linspace(0, 0.4, 81)
+        return CubicSpline(drags, [force for _, force in self.follow(drags)])
+
+    def onset(self, mu: Array) -> Array:
+        """Distances at which the tip slips, for coefficients that T/N grows to."""
+        drags = self.forces.x
+        T, N = self.forces(drags).T
+        return CubicSpline(T / N, drags)(mu)
+
+    def follow(self, drags: Array) -> Iterator[tuple[Array, Array]]:
+        """Values (4, 101) of phi, its slope, x and z along the rod, and (T, N), at growing distances d."""
+        touch = self._natural[3, -1]
+        pressing = [(0.0, touch + share * (self._floor - touch)) for share in np.linspace(0.04, 1, 25) ** 2]
+        shape, force = self._natural, np.zeros(2)
+        for k, (d, floor) in enumerate([*pressing, *((d, self._floor) for d in drags)]):
+            shape, force = self._balance(shape, force, self._natural[2, -1] + d, floor)
+            if k >= len(pressing):
+                yield shape, force
+
+    def _balance(self, guess: Array, force: Array, x: float, z: float) -> tuple[Array, Array]:
+        """Values (4, 101) and (T, N) with the tip at a place, from those at a place near it."""
+        s = np.linspace(0, 1, 101)
+        solution = solve_bvp(
+            lambda s, y, p: np.array(
+                [y[1], p[1] * np.cos(y[0]) - p[0] * np.sin(y[0]), np.cos(y[0]), np.sin(y[0])]
+            ),
+            lambda a, b, p: np.array([a[0] - self.dip, a[2], a[3], b[1] - self.bend, b[2] - x, b[3] - z]),
+            s,
+            guess,
+            p=force,
+            tol=TIGHT,
+            max_nodes=200_000,
+        )
+        if not solution.success:
+            raise RuntimeError(solution.message)
+        return solution.sol(s), solution.p
+
+
+def string_on_a_drum(root: float, hanging: float, weight: float, mu: float, phi: float) -> float:
+    """The ratio `exp(mu phi)` seen by a heavy string that slips on a drum of radius 1, from its two tensions.
+
+    The string hangs from the angle 0 (its tension there is `hanging`) and meets the drum at phi, under the
+    tension `root`; its weight is `weight` a unit length. At the angle beta, with friction towards the hanging end,
+
+        T' = mu T + weight (cos beta + mu sin beta),    T = C exp(mu beta) + A sin beta + B cos beta.
+    """
+    A = weight * (1 - mu**2) / (1 + mu**2)
+    B = -2 * mu * weight / (1 + mu**2)
+    return float((root - A * np.sin(phi) - B * np.cos(phi)) / (hanging - B))

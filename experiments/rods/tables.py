@@ -1,0 +1,17 @@
+"""Tables of what was measured against what is known."""
+
+import numpy as np
+import pandas as pd
+
+COLUMNS = ["quantity", "model", "elements", "value", "reference"]
+
+
+def with_errors(rows: list[tuple]) -> pd.DataFrame:
+    """Rows of `COLUMNS` with relative errors, and orders between one mesh and the next finer one."""
+    table = pd.DataFrame(rows, columns=COLUMNS)
+    table["error"] = abs(table.value / table.reference - 1)
+    table = table.sort_values(["quantity", "model", "elements"], kind="stable")
+    of_a_kind = table.groupby(["quantity", "model"])
+    errors, sizes = of_a_kind.error, of_a_kind.elements
+    table["order"] = np.log(errors.shift() / table.error) / np.log(table.elements / sizes.shift())
+    return table
