@@ -29,6 +29,9 @@ def simulate(
     steps: Annotated[
         int | None, typer.Option(help="Steps to run; all of the scene's by default.", min=1)
     ] = None,
+    dt: Annotated[
+        float | None, typer.Option(help="Time step in s instead of the scene's.", metavar="SECONDS")
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for steps.csv, a picture of the last step, and the problems."),
@@ -53,13 +56,16 @@ def simulate(
     restart: Annotated[
         bool, typer.Option("--restart", help="Go on from OUT/checkpoint.h5, bit for bit.")
     ] = False,
+    penalty: Annotated[
+        float | None,
+        typer.Option(help="Explicit penalty contact of this STIFFNESS, N/m.", metavar="STIFFNESS"),
+    ] = None,
 ) -> None:
     """Run a scene: rods, contact, friction.
 
     Prints what happened; with --out also writes one row a step (contacts, sweeps, residual, energy, seconds)
     and a picture of the last step. Ctrl-C keeps what was run, and with --checkpoint-every or --restart writes a
-    checkpoint too. docs/scenes.md says how to write your own scene;
-    `fibercontact new-scene` writes one to start from.
+    checkpoint too. `fibercontact new-scene` writes a scene to start from; docs/scenes.md says what can be in it.
 
     Example: fibercontact simulate my_scene.toml --dump every=10 --min-contacts 50 --out runs/mine
     """
@@ -70,13 +76,18 @@ def simulate(
         from dataclasses import replace
 
         from fibercontact.simulation.checkpoint import CHECKPOINT, load_checkpoint, save_checkpoint
+        from fibercontact.simulation.penalty import penalty_for
         from fibercontact.simulation.record import Recorder
+        from fibercontact.simulation.scene import SceneError
         from fibercontact.simulation.scene_file import open_scene
         from fibercontact.simulation.step import simulate as run
 
         every = _every(dump)
         built = open_scene(scene)
-        built = replace(built, steps=min(steps or built.steps, built.steps))
+        built = replace(built, steps=steps or built.steps, dt=built.dt if dt is None else dt)
+        if penalty is not None and every:
+            raise SceneError("--penalty: explicit contact poses no problem to --dump")
+        springs = None if penalty is None else penalty_for(built, penalty)
         checkpoints = checkpoint_every is not None or restart
         if out is None and (every or checkpoints):
             out = Path("runs") / built.name
@@ -92,7 +103,7 @@ def simulate(
         interrupted = False
         try:
             with progress_of(built.name, built.steps, first) as show:
-                for step in run(built, world, first):
+                for step in run(built, world, first, penalty=springs):
                     recorder.add(step)
                     write(step)
                     show(step)
