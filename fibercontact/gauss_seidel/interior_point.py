@@ -40,8 +40,8 @@ SHORTEST = 1e-8
 TO_BOUNDARY = 0.7
 """Share of the way to the boundary of the cones that a step goes at most.
 
-Nearer to it, at 0.9 to 0.99 as is usual for convex problems, the method comes to a halt far from the solution on about
-one jammed problem in eight; at 0.7 on none of those tried, for a sixth more iterations.
+Nearer to it, at 0.9 to 0.99 as is usual for convex problems, the method comes to a halt far from the solution on
+about one jammed problem in eight; at 0.7 on none of those tried, for a sixth more iterations.
 """
 REGULARISATION = 1e-13
 """Added to the diagonal of `A`, whose entries are near 1: `W` is often singular."""
