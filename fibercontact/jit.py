@@ -64,9 +64,9 @@ def jit(function: Callable[..., Any]) -> Any:
     """Compile `function` lazily, read it from the disk cache in later processes.
 
     Division by zero gives inf or NaN as in numpy (`error_model="numpy"`), so kernels return a status instead
-    of raising, and no fast-math is used: NaN must be seen.
+    of raising, and no fast-math is used: NaN must be seen. Kernels run without the interpreter's lock.
     """
-    return numba.njit(cache=True, error_model="numpy")(function)
+    return numba.njit(cache=True, error_model="numpy", nogil=True)(function)
 
 
 def jit_inline(function: Callable[..., Any]) -> Any:
@@ -74,7 +74,7 @@ def jit_inline(function: Callable[..., Any]) -> Any:
 
     A dispatcher passed by value would make its caller uncacheable; inlined, it is a direct call.
     """
-    return numba.njit(cache=True, error_model="numpy", inline="always")(function)
+    return numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")(function)
 
 
 _use_cache_folder()

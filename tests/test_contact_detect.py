@@ -13,6 +13,7 @@ from fibercontact.contact.broad_phase import near_segments
 from fibercontact.contact.detect import detect
 from fibercontact.contact.obstacles import Cylinder, Plane, Sphere
 from fibercontact.contact.segments import closest_on_segments
+from fibercontact.rods import CLOTHOID, HELIX, centreline, circular_rods, rest_state
 
 # Oracles
 
@@ -157,6 +158,66 @@ def test_broad_phase_finds_all_near_pairs_once_however_unequal_the_segments(seed
     assert len(found) == len(set(found))
     assert near <= set(found)
     assert all(i < j and fibre[i] != fibre[j] for i, j in found)
+
+
+# The polyline of a centreline
+
+
+def curled_rods(seed, basis, R=12, E=4):
+    """Rods of random curvatures (rad/m) near one another; the largest curvature of each element's span."""
+    rng = np.random.default_rng(seed)
+    rods = circular_rods(
+        length=rng.uniform(0.8, 1.2, R), radius=0.02, young=1e9, poisson=0.5, density=1e3, elements=E,
+        basis=basis, curvature=rng.uniform(-8.0, 8.0, (R, E + (basis == CLOTHOID), 3)),
+    )  # fmt: skip
+    return rods, rest_state(
+        rods, rng.uniform(0.0, 0.6, (R, 3)), Rotation.random(R, random_state=seed).as_matrix()
+    )
+
+
+def sagitta(rods, P):
+    """Bound of the distance between a rod and its polyline: bending is at most that at a coefficient."""
+    bending = np.linalg.norm(rods.q_rest[:, :, 1:], axis=2).max(axis=1)
+    return bending * (rods.length / P) ** 2 / 8
+
+
+@given(seeds, st.sampled_from([HELIX, CLOTHOID]), st.sampled_from([4, 5, 12]))
+@settings(deadline=None, max_examples=25)
+def test_a_polyline_is_within_its_sagitta_of_the_centreline(seed, basis, P):
+    rods, state = curled_rods(seed, basis)
+    fine, coarse = centreline(rods, state, 16 * P), centreline(rods, state, P)
+    weight = np.arange(16)[:, None] / 16
+    chords = coarse[:, :-1, None] * (1 - weight) + coarse[:, 1:, None] * weight
+    error = np.linalg.norm(chords.reshape(len(fine), -1, 3) - fine[:, :-1], axis=2)
+    assert (error.max(axis=1) <= (1 + 1e-9) * sagitta(rods, P)).all()
+
+
+@pytest.mark.parametrize("P", [10, 40])
+def test_an_arc_is_a_sagitta_away_from_its_chord(P):
+    rods = circular_rods(
+        length=1.0, radius=0.02, young=1e9, poisson=0.5, density=1e3, elements=1, curvature=[0.0, 3.0, 0.0]
+    )
+    vertices = centreline(rods, rest_state(rods), 2 * P)[0]
+    error = np.linalg.norm(0.5 * (vertices[0] + vertices[2]) - vertices[1])
+    assert error == pytest.approx(sagitta(rods, P)[0], rel=0.1 * (3.0 / P) ** 2)
+
+
+@given(seeds, st.sampled_from([HELIX, CLOTHOID]))
+@settings(deadline=None, max_examples=25)
+def test_contacts_of_curled_rods_are_found_up_to_their_sagittas(seed, basis):
+    """Against all pairs of points of the rods themselves: none missed that is near enough, none too far."""
+    P, active = 12, 2 * 0.02 * 1.3
+    rods, state = curled_rods(seed, basis)
+    found = detect(centreline(rods, state, P), rods.length, rods.radius, margin=0.3)
+    pairs = set(zip(found.fibre_a, found.fibre_b, strict=True))
+    fine, bound = centreline(rods, state, 240), sagitta(rods, P)
+    step = rods.length / 240
+    for a, b in itertools.combinations(range(len(fine)), 2):
+        nearest = np.sqrt(((fine[a][:, None] - fine[b][None]) ** 2).sum(axis=2).min())
+        if nearest < active - bound[a] - bound[b]:
+            assert (a, b) in pairs
+        if (a, b) in pairs:
+            assert nearest < active + bound[a] + bound[b] + 0.5 * (step[a] + step[b])
 
 
 # Fibre–fibre contacts

@@ -20,7 +20,9 @@ SMALL = {
         "evidence.csv",
     ],
     "alart_curnier_steps.py": ["--problems", "20", "--out", "figure"],
+    "scaling.py": ["--fibres", "40,60,90", "--models", "helix", "--steps", "24", "--out", "figure"],
     "rod_convergence.py": ["--most", "8", "--out", "figure"],
+    "penalty.py": ["--time", "0.01", "--stiffness", "300", "--fibres", "2", "--out", "figure"],
     "rod_validation.py": ["--elements", "6,8", "--bends", "8", "--curve", "1", "--out", "figure"],
 }
 

@@ -162,6 +162,14 @@ def test_bodies_move_stage_by_stage_and_carry_what_they_hold(tmp_path):
     np.testing.assert_allclose(moved[0], [1e-3, 0, 0], atol=1e-12)
 
 
+def test_air_is_drag_and_a_steady_wind(tmp_path):
+    air = open_scene(
+        least(tmp_path, keys="air = { normal = 1e-3, tangential = 5e-4, wind = [1.0, 0.0, 0.0] }\n")
+    ).air
+    assert (air.normal, air.tangential) == (1e-3, 5e-4)
+    np.testing.assert_array_equal(air.wind(3.0), [1, 0, 0])
+
+
 def test_the_same_file_gives_the_same_scene_and_another_seed_another(tmp_path):
     one, again = (open_scene(written(tmp_path, TEMPLATE)) for _ in range(2))
     other = open_scene(written(tmp_path, TEMPLATE.replace("seed = 1", "seed = 2")))
@@ -189,6 +197,7 @@ FAULTS = [
     ("dt = 4e-3", "dt = '4e-3'", r"dt: should be a valid number \(it is '4e-3'\)"),
     ("dt = 4e-3", "dt =", r"not TOML: .*line 5"),
     ("mu = 0.4", "mu = -1", r"mu: should be greater than or equal to 0"),
+    ("seed = 1", "air = { normal = -1.0, tangential = 1.0 }", r"air.normal: should be greater than or equal to 0"),
     ("seed = 1", "seed = true", r"seed: should be a valid integer"),
     ('model = "helix"', 'model = "spline"', r"model: should be 'helix', 'clothoid' or 'discrete'"),
     ('description =', 'name = "../up"\ndescription =', r"name: string should match"),

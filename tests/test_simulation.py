@@ -2,13 +2,17 @@
 
 import csv
 import math
+from collections import Counter
 from dataclasses import replace
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from fibercontact.bench.problem_set import load_set
 from fibercontact.contact.obstacles import Plane
 from fibercontact.problem.fclib import read
 from fibercontact.problem.measure import measure
@@ -16,7 +20,7 @@ from fibercontact.rods.dynamics import energy
 from fibercontact.rods.model import circular_rods, rest_state
 from fibercontact.simulation import corpus
 from fibercontact.simulation.scene import Body, Motion, Scene, SceneError
-from fibercontact.simulation.scenes import KINDS, SCENES, Parameters, build
+from fibercontact.simulation.scenes import HEADS, KINDS, SCENES, Parameters, build
 from fibercontact.simulation.step import SimulationError, simulate
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -166,10 +170,29 @@ def test_scenes_that_are_not(parameters, message):
 
 def test_the_corpus_has_306_problems_by_its_rule():
     assert len(corpus.CORE.scenes) * corpus.CORE.per_scene == 306
-    assert {p.kind for p in SCENES.values()} == set(KINDS)
+    assert {p.kind for p in SCENES.values()} == set(KINDS) - {"scalp"}
     frictions = sorted({p.mu for p in SCENES.values()})
     assert frictions[0] == 0.0
     assert frictions[-1] == 1.0
+
+
+def test_the_large_set_is_24_problems_of_helices_and_clothoids():
+    large = corpus.SETS["large"]
+    assert len(large.scenes) * large.per_scene == 24
+    assert (large.fewest, large.most) == (3000, 30_000)
+    assert {p.model for p in large.scenes} == {"helix", "clothoid"}
+    assert max(p.fibres for p in large.scenes) == 2000
+    assert len({p.seed for p in large.scenes}) > 4
+    assert len({build(p).name for p in large.scenes}) == len(large.scenes)
+
+
+@pytest.mark.parametrize("name", HEADS)
+def test_a_head_has_its_roots_on_the_scalp_and_none_overlap(name):
+    scene = build(name)
+    roots = scene.state.root_position
+    np.testing.assert_allclose(np.linalg.norm(roots, axis=1), 0.1)
+    distance, _ = KDTree(roots).query(roots, k=2)
+    assert distance[:, 1].min() > 2 * scene.rods.radius[0]
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 17])
@@ -230,3 +253,27 @@ def test_a_run_taken_up_in_the_middle_is_the_run():
 
 def test_steps_come_one_by_one():
     assert len(list(islice(simulate(build("wisp-straight-19-mu0.3")), 2))) == 2
+
+
+@pytest.mark.parametrize("problems", corpus.SETS.values(), ids=corpus.SETS)
+def test_committed_sets_keep_their_rule(problems):
+    """As many problems of each scene as the rule says, their contacts and files as the manifest has them."""
+    folder = Path(__file__).parents[1] / "problems" / problems.name
+    if not folder.is_dir():
+        pytest.skip("a set that is made, not kept")
+    entries = load_set(folder)  # compares every hash
+    scenes = Counter(entry.scene for entry in entries)
+    assert scenes == dict.fromkeys((build(p).name for p in problems.scenes), problems.per_scene)
+    with (folder / "manifest.csv").open() as stream:
+        contacts = [int(row["contacts"]) for row in csv.DictReader(stream)]
+    assert problems.fewest <= min(contacts) <= max(contacts) <= problems.most
+
+
+def test_rods102_has_34_problems_of_each_model_and_is_small():
+    folder = Path(__file__).parents[1] / "problems" / "rods102"
+    models = Counter(entry.scene.partition("@")[2] for entry in load_set(folder))
+    assert models == {"": 34, "clothoid": 34, "discrete": 34}
+    assert sum(file.stat().st_size for file in folder.iterdir()) <= 32e6
+    last = read(folder / "twist-mixed-40-mu0.5@discrete-249.hdf5").problem
+    bandwidth = abs(np.subtract(*last.M.nonzero())).max()
+    assert bandwidth <= 11  # of discrete rods: what is dumped is what the bands hold

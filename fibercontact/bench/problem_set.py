@@ -13,7 +13,7 @@ from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.reference.existence import UNSOLVABLE
 from fibercontact.reference.store import Store, references_file
 
-__all__ = ["Entry", "entry_of", "find_file", "find_problem", "find_set", "limited", "load_set"]
+__all__ = ["Entry", "entry_of", "find_file", "find_problem", "find_set", "limited", "load_set", "origin"]
 
 MANIFEST = "manifest.csv"
 SUFFIXES = (".hdf5", ".h5")
@@ -98,6 +98,21 @@ def find_problem(name: str, problems: str = "core306") -> Entry:
         f"no problem {name!r}: neither a file nor one of the {len(files)} of {folder.name} "
         f"(nearest: {', '.join(near)})"
     )
+
+
+def origin(entry: Entry) -> tuple[str, int]:
+    """The scene and the step that a problem is from, by the manifest beside it; raises `BenchError` without one."""
+    manifest = entry.file.parent / MANIFEST
+    if manifest.is_file():
+        with manifest.open(newline="", encoding="utf-8") as stream:
+            for line in csv.DictReader(stream):
+                if (
+                    line.get("file") == entry.file.name
+                    and line.get("scene")
+                    and (line.get("step") or "").isdigit()
+                ):
+                    return line["scene"], int(line["step"])
+    raise BenchError(f"{entry.file}: no {MANIFEST} beside it tells the scene and the step it is from")
 
 
 def limited(entries: Sequence[Entry], limit: int | None) -> list[Entry]:

@@ -17,6 +17,7 @@ from fibercontact.cli import (
     new_scene,
     new_solver,
     reference,
+    render,
     simulate,
     solve,
     solvers,
@@ -43,6 +44,7 @@ app.command("new-solver")(new_solver.new_solver)
 app.command("simulate")(simulate.simulate)
 app.command("new-scene")(new_scene.new_scene)
 app.add_typer(corpus.corpus, name="corpus")
+app.command("render")(render.render)
 app.command("harvest")(level1.harvest)
 app.command("reference")(reference.reference)
 app.command("validate")(validate.validate)

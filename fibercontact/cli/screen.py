@@ -1,14 +1,15 @@
 """Tables on the screen."""
 
 import sys
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from pandas import DataFrame
     from rich.console import Console
 
-__all__ = ["print_notes", "print_table", "screen"]
+__all__ = ["bar", "print_notes", "print_table", "screen"]
 
 
 def screen() -> "Console":
@@ -35,3 +36,15 @@ def print_notes(console: "Console", notes: Iterable[str]) -> None:
     """Print what must be said beside a table."""
     for note in notes:
         console.print(f"• {note}", markup=False, highlight=False)
+
+
+@contextmanager
+def bar(title: str, total: int) -> Iterator[Callable[[], None]]:
+    """A bar on stderr, one step further whenever what it gives is called."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(escape(title), total=total)
+        yield lambda: progress.advance(task)

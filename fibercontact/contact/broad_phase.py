@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fibercontact.jit import jit
+from fibercontact.threads import over_ranges
 
 __all__ = ["near_segments"]
 
@@ -12,6 +13,7 @@ Ints = NDArray[np.int64]
 
 _CELL = 16.0  # radii; smaller cells cost more entries, larger ones more pairs in tight bundles
 _PIECES = 16  # of a segment of mean length, at most
+_SEGMENTS = 4096  # of a range, for a thread
 
 
 def near_segments(start: Floats, end: Floats, reach: Floats, fibre: Ints) -> Ints:
@@ -32,7 +34,11 @@ def near_segments(start: Floats, end: Floats, reach: Floats, fibre: Ints) -> Int
     buckets = 1 << covered.bit_length()
     offset, entry = _entries(boxes, first, covered, buckets)
     bucket_offset, segment = _transposed(offset, entry, buckets)
-    return _pairs(start, end, reach, fibre, offset, entry, bucket_offset, segment)
+
+    def pairs_of(begin: int, stop: int) -> Ints:
+        return _pairs(start, end, reach, fibre, offset, entry, bucket_offset, segment, begin, stop)
+
+    return np.concatenate(over_ranges(pairs_of, len(start), _SEGMENTS))
 
 
 def _cubic_mean(x: Floats) -> float:
@@ -127,12 +133,14 @@ def _pairs(
     entry: Ints,
     bucket_offset: Ints,
     segment: Ints,
+    begin: int,
+    stop: int,
 ) -> Ints:
-    """Pairs (k, 2) of segments that share a bucket and are not proved apart."""
-    found = np.empty((max(len(start), 1), 2), np.int64)
+    """Pairs (k, 2) of segments i in begin..stop and j > i that share a bucket and are not proved apart."""
+    found = np.empty((max(stop - begin, 1), 2), np.int64)
     count = 0
     seen = np.full(len(start), -1)
-    for i in range(len(start)):
+    for i in range(begin, stop):
         for bucket in entry[offset[i] : offset[i + 1]]:
             # In a bucket segments increase: from the back come the later fibres, and the rest is not needed.
             for place in range(bucket_offset[bucket + 1] - 1, bucket_offset[bucket] - 1, -1):

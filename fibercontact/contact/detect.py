@@ -1,4 +1,11 @@
-"""Contacts between fibres, and between fibres and obstacles, once for each touching."""
+"""Contacts between fibres, and between fibres and obstacles, once for each touching.
+
+A fibre is a polyline whose vertices lie on its centreline at equal steps h of arc length. Where the centreline's
+curvature is at most kappa, the polyline is within the sagitta kappa h²/8 of it at the same arc length (linear
+interpolation of a curve with |r''| ≤ kappa; equality in the middle of an arc, as h → 0). Distances between two
+fibres are therefore in error by the sum of their sagittas at most: what is closer than the distance of activation
+less that sum is found, and nothing is that is farther apart than the two together.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -11,6 +18,7 @@ from fibercontact.contact.frame import contact_frames
 from fibercontact.contact.obstacles import Obstacle
 from fibercontact.contact.segments import closest_on_segments
 from fibercontact.jit import jit
+from fibercontact.threads import over_ranges
 
 __all__ = ["Contacts", "detect"]
 
@@ -18,6 +26,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _WINDOW = 1.0 + 1e-6  # parallel fibres often have candidates at exactly half a segment: one touching
+_PAIRS = 4096  # of a range, for a thread
 _TIE = 1e-9  # of the threshold: distances that differ by less are equal
 
 
@@ -145,7 +154,9 @@ def _fibre_candidates(fibres: _Fibres) -> _Candidates:
     start, end = (ends.reshape(-1, 3) for ends in (fibres.vertices[:, :-1], fibres.vertices[:, 1:]))
     fibre = np.repeat(np.arange(R), P)
     pairs = near_segments(start, end, fibres.reach[fibre], fibre)
-    s, t, distance = _closest(start, end, pairs)
+    closest = np.empty((3, len(pairs)))
+    over_ranges(lambda *those: _closest(start, end, pairs, closest, *those), len(pairs), _PAIRS)
+    s, t, distance = closest
     a, b = fibre[pairs.T]
     x_a, x_b = pairs[:, 0] - a * P + s, pairs[:, 1] - b * P + t
     near = (distance < fibres.reach[a] + fibres.reach[b]) & (x_a >= fibres.skip[a]) & (x_b >= fibres.skip[b])
@@ -166,15 +177,13 @@ def _obstacle_candidates(fibres: _Fibres, body: Obstacle) -> _Candidates:
 
 
 @jit
-def _closest(start: Floats, end: Floats, pairs: Ints) -> Floats:
-    """Closest points of pairs of segments: s, t and distance, (3, k)."""
-    closest = np.empty((3, len(pairs)))
-    for row in range(len(pairs)):
+def _closest(start: Floats, end: Floats, pairs: Ints, closest: Floats, begin: int, stop: int) -> None:
+    """Fill in the closest points of the pairs of segments begin..stop: s, t and distance, (3, k)."""
+    for row in range(begin, stop):
         i, j = pairs[row]
         closest[0, row], closest[1, row], closest[2, row] = closest_on_segments(
             start[i], end[i], start[j], end[j]
         )
-    return closest
 
 
 def _on_polylines(vertices: Floats, fibre: Ints, x: Floats) -> tuple[Floats, Floats]:

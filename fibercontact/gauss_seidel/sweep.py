@@ -83,18 +83,33 @@ def block_system(problem: IncrementalProblem) -> BlockSystem:
 
 
 @jit
+def block_row(
+    rows: NDArray[np.float64], first: int, width: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """The three rows, each of `width` numbers, of the block row whose first block is `first`."""
+    begin = 9 * first
+    return (
+        rows[begin : begin + width],
+        rows[begin + width : begin + 2 * width],
+        rows[begin + 2 * width : begin + 3 * width],
+    )
+
+
+@jit
 def velocity(s: BlockSystem, r: NDArray[np.float64], u: NDArray[np.float64]) -> None:
     """Write `W r + b` into `u`."""
     for i in range(len(s.mu)):
         first = s.starts[i]
-        width = 3 * (s.starts[i + 1] - first)
+        blocks = s.starts[i + 1] - first
+        row0, row1, row2 = block_row(s.rows, first, 3 * blocks)
         u0, u1, u2 = s.b[3 * i], s.b[3 * i + 1], s.b[3 * i + 2]
-        at = 9 * first
-        for j in range(width):
-            x = r[3 * s.columns[first + j // 3] + j % 3]
-            u0 += s.rows[at + j] * x
-            u1 += s.rows[at + width + j] * x
-            u2 += s.rows[at + 2 * width + j] * x
+        for j in range(blocks):
+            at = 3 * s.columns[first + j]
+            for a in range(3):
+                x = r[at + a]
+                u0 += row0[3 * j + a] * x
+                u1 += row1[3 * j + a] * x
+                u2 += row2[3 * j + a] * x
         u[3 * i], u[3 * i + 1], u[3 * i + 2] = u0, u1, u2
 
 
@@ -150,10 +165,7 @@ def push(s: BlockSystem, i: int, d0: float, d1: float, d2: float, u: NDArray[np.
     """`u += W_:i Δr_i`; `W` is symmetric, so block row i serves as block column i."""
     first = s.starts[i]
     blocks = s.starts[i + 1] - first
-    width = 3 * blocks
-    row0 = s.rows[9 * first : 9 * first + width]
-    row1 = s.rows[9 * first + width : 9 * first + 2 * width]
-    row2 = s.rows[9 * first + 2 * width : 9 * first + 3 * width]
+    row0, row1, row2 = block_row(s.rows, first, 3 * blocks)
     for j in range(blocks):
         at = 3 * s.columns[first + j]
         k = 3 * j

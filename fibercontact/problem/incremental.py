@@ -136,6 +136,8 @@ def symmetric_part(A: csr_array, name: str, symmetrise: bool = False, source: st
     Rounding (a relative asymmetry `max|A − Aᵀ| / max|A|` up to 1e-12) is averaged away. More raises
     `ProblemError`, or up to 1e-2 with `symmetrise` a `ProblemWarning` only, which names `source` (a file).
     """
+    if A.has_canonical_format and _asymmetric_block(A.indptr, A.indices, A.data.reshape(-1, 1, 1)) < 0:
+        return A
     gap = float(abs(A - A.T).max()) if A.nnz else 0.0
     if gap == 0:
         return A
@@ -160,9 +162,8 @@ def _check_layout(W: Any, n: int) -> None:
 
 def _check_operator(W: bsr_array) -> None:
     row = np.repeat(np.arange(len(W.indptr) - 1), np.diff(W.indptr))
-    finite = np.isfinite(W.data).all(axis=(1, 2))
-    if not finite.all():
-        at = int(np.argmin(finite))
+    if not (finite := np.isfinite(W.data)).all():
+        at = int(np.argmin(finite)) // 9
         raise ProblemError(f"W is not finite in the block of contacts {row[at]} and {W.indices[at]}")
     positions = _diagonal_positions(W.indptr, W.indices)
     if (positions < 0).any():
@@ -193,15 +194,26 @@ def _diagonal_positions(indptr: Index, indices: Index) -> NDArray[np.int64]:
 
 @jit
 def _asymmetric_block(indptr: Index, indices: Index, data: F64) -> int:
-    """Position of the first block that is not exactly the transpose of its mirror image, −1 if none."""
-    for i in range(len(indptr) - 1):
+    """Position of a block that is not exactly the transpose of its mirror image, −1 if none; indices are sorted.
+
+    Row after row, the mirror images of its blocks above the diagonal are the next blocks of their rows.
+    """
+    mirror = indptr[:-1].copy()
+    for i in range(len(mirror)):
         for at in range(indptr[i], indptr[i + 1]):
             j = indices[at]
-            mirror = _find(indices, indptr[j], indptr[j + 1], i)
-            if mirror < 0:
+            if j < i:
+                if at >= mirror[i]:
+                    return at
+                continue
+            image = mirror[j] if j > i else at
+            if image == indptr[j + 1] or indices[image] > i:
                 return at
-            for a in range(3):
-                for c in range(3):
-                    if data[at, a, c] != data[mirror, c, a]:
+            if indices[image] < i:
+                return image
+            mirror[j] = image + 1
+            for a in range(data.shape[1]):
+                for c in range(data.shape[2]):
+                    if data[at, a, c] != data[image, c, a]:
                         return at
     return -1

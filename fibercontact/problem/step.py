@@ -18,11 +18,14 @@ from fibercontact.problem.incremental import (
     check_vector,
     symmetric_part,
 )
+from fibercontact.threads import over_ranges
 
 __all__ = ["Mobility", "StepProblem", "condense_constrained"]
 
 F64 = NDArray[np.float64]
 Index = NDArray[Any]
+
+_CONTACTS = 512  # of a range, for a thread
 
 
 class Factor(NamedTuple):
@@ -131,10 +134,20 @@ class Mobility:
         """`H M⁻¹ Hᵀ` in 3×3 blocks, exactly symmetric, for `H` (3n, d): `Yᵀ Y` with `Y = L⁻¹ Hᵀ`."""
         n = H.shape[0] // 3
         arms = _find_arms(H.indptr, H.indices, n, self.factor)
-        start, Y = _half_responses(H.indptr, H.indices, H.data, arms, self.factor)
-        by_rod, position, rod_start = _group_by_rod(arms, len(self.factor.rod))
-        indptr, indices = _pattern(arms, by_rod, rod_start)
-        data = _blocks(arms, start, Y, by_rod, position, rod_start, indptr, indices)
+        start = _starts(arms, self.factor)
+        Y = np.zeros((start[-1], 3))
+        over_ranges(
+            lambda *those: _half_responses(H.indptr, H.indices, H.data, arms, self.factor, start, Y, *those),
+            n,
+            _CONTACTS,
+        )
+        by_rod = _group_by_rod(arms, len(self.factor.rod))
+        indptr, indices = _pattern(arms, by_rod)
+        data = np.zeros((len(indices), 3, 3))
+        over_ranges(
+            lambda *those: _upper_blocks(arms, start, Y, by_rod, indptr, indices, data, *those), n, _CONTACTS
+        )
+        _mirror_blocks(indptr, indices, data)
         return bsr_array((data, indices, indptr), shape=(3 * n, 3 * n))
 
 
@@ -147,12 +160,18 @@ def _check_csr(name: str, A: Any, shape: tuple[int, int]) -> None:
 
 
 def _check_contacts_move(H: csr_array) -> None:
-    moving = np.zeros(H.shape[0] // 3, dtype=bool)
-    moving[np.repeat(np.arange(H.shape[0]), np.diff(H.indptr))[H.data != 0] // 3] = True
-    if not moving.all():
-        raise ProblemError(
-            f"contact {int(np.argmin(moving))} moves no degree of freedom: its rows of H are 0"
-        )
+    at = _immovable_contact(H.indptr, H.data)
+    if at >= 0:
+        raise ProblemError(f"contact {at} moves no degree of freedom: its rows of H are 0")
+
+
+@jit
+def _immovable_contact(indptr: Index, values: F64) -> int:
+    """The first contact whose three rows of `H` are zero, −1 if there is none."""
+    for i in range(len(indptr) // 3):
+        if not values[indptr[3 * i] : indptr[3 * i + 3]].any():
+            return i
+    return -1
 
 
 @jit
@@ -237,16 +256,29 @@ def _find_arms(indptr: Index, indices: Index, n: int, factor: Factor) -> Arms:
 
 
 @jit
-def _half_responses(
-    indptr: Index, indices: Index, values: F64, arms: Arms, factor: Factor
-) -> tuple[Index, F64]:
-    """`Y = L⁻¹ Hᵀ` arm by arm: rows start[a] to start[a + 1] belong to dofs first[a] to the rod's end."""
+def _starts(arms: Arms, factor: Factor) -> Index:
+    """Where each arm has its rows of `Y = L⁻¹ Hᵀ`, one for each dof from its first to the end of its rod."""
     start = np.zeros(len(arms.rod) + 1, dtype=np.int64)
     for a in range(len(arms.rod)):
         start[a + 1] = start[a] + factor.end[arms.first[a]] - arms.first[a]
-    Y = np.zeros((start[-1], 3))
+    return start
+
+
+@jit
+def _half_responses(
+    indptr: Index,
+    indices: Index,
+    values: F64,
+    arms: Arms,
+    factor: Factor,
+    start: Index,
+    Y: F64,
+    begin: int,
+    stop: int,
+) -> None:
+    """Fill the rows of `Y = L⁻¹ Hᵀ`, zero before, of the arms of the contacts in begin..stop."""
     arm_on = np.zeros(len(factor.rod), dtype=np.int64)
-    for i in range(len(arms.start) - 1):
+    for i in range(begin, stop):
         for a in range(arms.start[i], arms.start[i + 1]):
             arm_on[arms.rod[a]] = a
         for axis in range(3):
@@ -256,24 +288,32 @@ def _half_responses(
                 Y[start[a] + p - arms.first[a], axis] += values[at]
         for a in range(arms.start[i], arms.start[i + 1]):
             _forward(factor, arms.first[a], Y[start[a] : start[a + 1]])
-    return start, Y
 
 
 @jit
 def _forward(factor: Factor, begin: int, y: F64) -> None:
     """`y ← L⁻¹ y` for three right-hand sides that are zero before row `begin` of the factor."""
     for i in range(begin, begin + len(y)):
+        y0, y1, y2 = y[i - begin, 0], y[i - begin, 1], y[i - begin, 2]
         for j in range(max(factor.first[i], begin), i):
             l_ij = factor.L[factor.row[i] + j]
-            for axis in range(3):
-                y[i - begin, axis] -= l_ij * y[j - begin, axis]
-        for axis in range(3):
-            y[i - begin, axis] /= factor.L[factor.row[i] + i]
+            y0 -= l_ij * y[j - begin, 0]
+            y1 -= l_ij * y[j - begin, 1]
+            y2 -= l_ij * y[j - begin, 2]
+        l_ii = factor.L[factor.row[i] + i]
+        y[i - begin, 0], y[i - begin, 1], y[i - begin, 2] = y0 / l_ii, y1 / l_ii, y2 / l_ii
+
+
+class ByRod(NamedTuple):
+    """The arms sorted by rod and then by contact."""
+
+    arm: Index  # (arms,)
+    position: Index  # (arms,) of an arm in `arm`
+    start: Index  # (rods + 1,) arms of a rod are arm[start[rod]:start[rod + 1]]
 
 
 @jit
-def _group_by_rod(arms: Arms, rods: int) -> tuple[Index, Index, Index]:
-    """Arms sorted by rod and then by contact, each arm's position there, and where each rod starts."""
+def _group_by_rod(arms: Arms, rods: int) -> ByRod:
     start = np.zeros(rods + 1, dtype=np.int64)
     for rod in arms.rod:
         start[rod + 1] += 1
@@ -285,16 +325,16 @@ def _group_by_rod(arms: Arms, rods: int) -> tuple[Index, Index, Index]:
         position[a] = fill[arms.rod[a]]
         by_rod[position[a]] = a
         fill[arms.rod[a]] += 1
-    return by_rod, position, start
+    return ByRod(by_rod, position, start)
 
 
 @jit
-def _neighbours(arms: Arms, by_rod: Index, rod_start: Index, j: int, seen: Index, found: Index) -> int:
+def _neighbours(arms: Arms, by_rod: ByRod, j: int, seen: Index, found: Index) -> int:
     """Put the contacts that share a rod with contact `j`, itself included, into `found`; their number."""
     count = 0
     for a in range(arms.start[j], arms.start[j + 1]):
-        for at in range(rod_start[arms.rod[a]], rod_start[arms.rod[a] + 1]):
-            i = arms.contact[by_rod[at]]
+        for at in range(by_rod.start[arms.rod[a]], by_rod.start[arms.rod[a] + 1]):
+            i = arms.contact[by_rod.arm[at]]
             if seen[i] != j:
                 seen[i] = j
                 found[count] = i
@@ -303,64 +343,72 @@ def _neighbours(arms: Arms, by_rod: Index, rod_start: Index, j: int, seen: Index
 
 
 @jit
-def _pattern(arms: Arms, by_rod: Index, rod_start: Index) -> tuple[Index, Index]:
+def _pattern(arms: Arms, by_rod: ByRod) -> tuple[Index, Index]:
     """Block structure of `W`; filled by columns, so that the indices of each row come out sorted."""
     n = len(arms.start) - 1
     found = np.empty(n, dtype=np.int64)
     indptr = np.zeros(n + 1, dtype=np.int32)
     seen = np.full(n, -1)
     for j in range(n):
-        indptr[j + 1] = indptr[j] + _neighbours(arms, by_rod, rod_start, j, seen, found)
+        indptr[j + 1] = indptr[j] + _neighbours(arms, by_rod, j, seen, found)
     indices = np.empty(indptr[n], dtype=np.int32)
     fill = indptr.copy()
     seen[:] = -1
     for j in range(n):
-        for i in found[: _neighbours(arms, by_rod, rod_start, j, seen, found)]:
+        for i in found[: _neighbours(arms, by_rod, j, seen, found)]:
             indices[fill[i]] = j
             fill[i] += 1
     return indptr, indices
 
 
 @jit
-def _blocks(
+def _upper_blocks(
     arms: Arms,
     start: Index,
     Y: F64,
-    by_rod: Index,
-    position: Index,
-    rod_start: Index,
+    by_rod: ByRod,
     indptr: Index,
     indices: Index,
-) -> F64:
-    """Blocks `W_ij = Σ_rods Y_iᵀ Y_j`: computed for j >= i, mirrored below the diagonal."""
-    data = np.zeros((len(indices), 3, 3))
+    data: F64,
+    begin: int,
+    stop: int,
+) -> None:
+    """Fill the blocks `W_ij = Σ_rods Y_iᵀ Y_j`, zero before, of the rows i in begin..stop with j >= i."""
     block = np.empty(len(indptr), dtype=np.int64)  # where block (i, j) of the current row is
-    mirror = indptr.copy()
-    for i in range(len(indptr) - 1):
+    for i in range(begin, stop):
         for at in range(indptr[i], indptr[i + 1]):
             block[indices[at]] = at
         for a in range(arms.start[i], arms.start[i + 1]):
-            for at in range(position[a], rod_start[arms.rod[a] + 1]):
-                c = by_rod[at]
-                begin = max(arms.first[a], arms.first[c])
-                Y_a = Y[start[a] + begin - arms.first[a] : start[a + 1]]
-                Y_c = Y[start[c] + begin - arms.first[c] : start[c + 1]]
+            for at in range(by_rod.position[a], by_rod.start[arms.rod[a] + 1]):
+                c = by_rod.arm[at]
+                first = max(arms.first[a], arms.first[c])
+                Y_a = Y[start[a] + first - arms.first[a] : start[a + 1]]
+                Y_c = Y[start[c] + first - arms.first[c] : start[c + 1]]
                 _add_product(Y_a, Y_c, data[block[arms.contact[c]]])
+
+
+@jit
+def _mirror_blocks(indptr: Index, indices: Index, data: F64) -> None:
+    """Copy the blocks above the diagonal to their mirror images below."""
+    mirror = indptr.copy()
+    for i in range(len(indptr) - 1):
         for at in range(indptr[i], indptr[i + 1]):
             j = indices[at]
             if j > i:
                 data[mirror[j]] = data[at].T
                 mirror[j] += 1
-    return data
 
 
 @jit
 def _add_product(A: F64, B: F64, block: F64) -> None:
     """`block += Aᵀ B` for two arrays of rows of three."""
-    for k in range(len(A)):
-        for i in range(3):
-            for j in range(3):
-                block[i, j] += A[k, i] * B[k, j]
+    for i in range(3):
+        x, y, z = block[i, 0], block[i, 1], block[i, 2]
+        for k in range(len(A)):
+            x += A[k, i] * B[k, 0]
+            y += A[k, i] * B[k, 1]
+            z += A[k, i] * B[k, 2]
+        block[i, 0], block[i, 1], block[i, 2] = x, y, z
 
 
 def condense_constrained(step: StepProblem, G: csr_array, c: F64) -> IncrementalProblem:

@@ -1,5 +1,6 @@
 """Rods: from curvatures or in maximal coordinates; kinematics, dynamics, implicit steps."""
 
+from fibercontact.rods.air import Drag, slender_drag
 from fibercontact.rods.basis import CLOTHOID, HELIX
 from fibercontact.rods.discrete_model import (
     DiscreteRods,
@@ -26,6 +27,7 @@ __all__ = [
     "HELIX",
     "DiscreteRods",
     "DiscreteState",
+    "Drag",
     "Energy",
     "Points",
     "Rods",
@@ -47,6 +49,7 @@ __all__ = [
     "point_jacobian",
     "prescribed_velocity",
     "rest_state",
+    "slender_drag",
     "step_system",
     "stiffness_matrix",
     "still",

@@ -5,7 +5,8 @@ The velocity v at the end of the step makes stationary, for impulses r of contac
     Π(v) − (Hᵀr)·v,    Π(v) = ½ (v − v_t)ᵀ 𝕄 (v − v_t) + E(x) + nu/dt V(x) − F·x,    x = x_t + dt v
 
 with the lumped inertia 𝕄, gravity F and `V = ½ ‖strain(x) − strain(x_t)‖²` in the norm of the elastic law. The
-viscous term is the damping `nu K` of the strains' rates [Bergou 2010]: rigid motions are not damped. An
+viscous term is the damping `nu K` of the strains' rates [Bergou 2010]: rigid motions are not damped. Drag in
+air, lumped to the nodes like the inertia, adds `dt/2 (v − wind)ᵀ C (v − wind)` to Π (see `air`). An
 iteration replaces Π by its quadratic model about the last iterate v_k,
 
     M = 𝕄 + dt² (∇²E + nu/dt ∇²V),    f = 𝕄 (v_k − v_t) + dt (∇E + nu/dt ∇V − F) − M v_k,
@@ -33,6 +34,7 @@ from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from fibercontact.rods import bands
+from fibercontact.rods.air import Drag
 from fibercontact.rods.discrete_energy import (
     Derivatives,
     Frames,
@@ -96,13 +98,24 @@ class BandedSystem(NamedTuple):
         G = (self.rigid[rod, edge, dof], (rod * D + dof, rod * count + edge))
         return csr_array(G, shape=(R * D, R * count)), self.c.ravel()
 
-    def free_velocities(self) -> Array:
-        """Velocities (R, D) at the end of the step without contact."""
+    def free_velocities(self, impulse: Array | float = 0.0) -> Array:
+        """Velocities (R, D) at the end of the step without contact, or under known impulses (R, D)."""
         G = self.rigid.transpose(0, 2, 1)
-        answers = bands.solve(self.factor, np.concatenate([G, self.f[:, :, None]], axis=2))
+        answers = bands.solve(self.factor, np.concatenate([G, (self.f - impulse)[:, :, None]], axis=2))
         of_rigid, of_f = answers[:, :, :-1], answers[:, :, -1:]
-        impulse = np.linalg.solve(self.rigid @ of_rigid, self.rigid @ of_f - self.c[:, :, None])
-        return np.asarray((of_rigid @ impulse - of_f)[:, :, 0], dtype=np.float64)
+        tension = np.linalg.solve(self.rigid @ of_rigid, self.rigid @ of_f - self.c[:, :, None])
+        return np.asarray((of_rigid @ tension - of_f)[:, :, 0], dtype=np.float64)
+
+
+class NodeDrag(NamedTuple):
+    """Drag forces `−C (v − wind)` on the nodes."""
+
+    C: Array  # (R, N + 1, 3, 3) kg/s
+    wind: Array  # (3,) m/s
+
+    def pull(self, v: Array) -> Array:
+        """`C (v − wind)` of the nodes' velocities (R, N + 1, 3)."""
+        return np.asarray((self.C @ (v - self.wind)[..., None])[..., 0], dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -121,6 +134,7 @@ class ImplicitStep:
     dt: float
     tension: Array  # (R, N) N of inextensible edges, as the last iteration had it
     tolerance: float
+    drag: NodeDrag | None = None
     converged: bool = False
 
     @cached_property
@@ -130,7 +144,7 @@ class ImplicitStep:
         slopes = derivatives(self.law, self.now, at)
         if self.rods.inextensible:
             slopes = self._augmented(slopes, at)
-        M, factor = _definite_matrix(self.rods, slopes, at.tangent, self.dt)
+        M, factor = _definite_matrix(self.rods, slopes, at.tangent, self.dt, self.drag)
         known = self.rods.prescribed
         residual = self._residual(slopes, at.tangent)[:, known:]
         v = self.now.v[:, known:]
@@ -169,7 +183,11 @@ class ImplicitStep:
         """The function Π (R,) of an iterate, J."""
         inertia, change = self.rods.inertia, now.v - self.before.v
         kinetic = np.sum(inertia * change**2, axis=1) / 2
-        return np.asarray(kinetic + law_energy(self.law, now) - _weight(self.rods, now, self.gravity))
+        potential = kinetic + law_energy(self.law, now) - _weight(self.rods, now, self.gravity)
+        if self.drag is not None:
+            v = split(now.v)[0]
+            potential += self.dt / 2 * np.sum((v - self.drag.wind) * self.drag.pull(v), axis=(1, 2))
+        return np.asarray(potential)
 
     def _augmented(self, slopes: Derivatives, at: Frames) -> Derivatives:
         """Add the tensions of inextensible edges, and springs that the constraints make idle."""
@@ -183,6 +201,8 @@ class ImplicitStep:
     def _residual(self, slopes: Derivatives, tangent: Array) -> Array:
         """Gradient (R, 4N + 3) of Π with respect to v."""
         force = join(_node_inertia(self.rods)[:, :, None] * self.gravity, np.zeros_like(self.now.theta))
+        if self.drag is not None:
+            force -= join(self.drag.pull(split(self.now.v)[0]), np.zeros_like(self.now.theta))
         inertia = self.rods.inertia * (self.now.v - self.before.v)
         return np.asarray(inertia + self.dt * (_gradient(slopes, tangent) - force), dtype=np.float64)
 
@@ -234,6 +254,7 @@ def begin(
     gravity: ArrayLike,
     dt: float,
     tolerance: float = 1e-3,
+    drag: Drag | None = None,
 ) -> ImplicitStep:
     """Begin a step: the first iterate keeps the velocity, prescribed dofs have that of the step.
 
@@ -246,7 +267,9 @@ def begin(
         v[:, :PRESCRIBED] = _root_rates(state, root_motion or still(len(v)), dt)
     now = displaced(state, dt * v)._replace(v=v)
     law, tension = _step_law(rods, state, dt), np.zeros((len(v), rods.edges))
-    return ImplicitStep(rods, state, now, law, np.asarray(gravity, dtype=float), dt, tension, tolerance)
+    g = np.asarray(gravity, dtype=float)
+    of_nodes = None if drag is None else _node_drag(rods, state, drag)
+    return ImplicitStep(rods, state, now, law, g, dt, tension, tolerance, of_nodes)
 
 
 def implicit_step(
@@ -257,9 +280,10 @@ def implicit_step(
     dt: float,
     tolerance: float = 1e-8,
     iterations: int = 50,
+    drag: Drag | None = None,
 ) -> DiscreteState:
     """Take a step without contact. Raises RuntimeError when Newton's method has not converged."""
-    step = begin(rods, state, root_motion, gravity, dt, tolerance)
+    step = begin(rods, state, root_motion, gravity, dt, tolerance, drag)
     for _ in range(iterations):
         step = step.moved(step.system.free_velocities())
         if step.converged:
@@ -322,6 +346,15 @@ def _step_law(rods: DiscreteRods, state: DiscreteState, dt: float) -> Law:
     )
 
 
+def _node_drag(rods: DiscreteRods, state: DiscreteState, drag: Drag) -> NodeDrag:
+    """Each node has the drag of half an edge on either side."""
+    half = rods.edge_length[:, None, None, None] / 2 * drag.resistance(tangents(state.position))
+    of_nodes = np.zeros((len(half), rods.edges + 1, 3, 3))
+    of_nodes[:, :-1] += half
+    of_nodes[:, 1:] += half
+    return NodeDrag(of_nodes, drag.wind)
+
+
 def _node_inertia(rods: DiscreteRods) -> Array:
     return split(rods.inertia)[0][:, :, 0]
 
@@ -345,22 +378,28 @@ def _gradient(slopes: Derivatives, tangent: Array) -> Array:
 
 
 def _definite_matrix(
-    rods: DiscreteRods, slopes: Derivatives, tangent: Array, dt: float
+    rods: DiscreteRods, slopes: Derivatives, tangent: Array, dt: float, drag: NodeDrag | None
 ) -> tuple[Array, Array]:
     """Bands of M (R, 11, D) by the rule of this module, and their Cholesky factors."""
-    M = _bands(rods.inertia, slopes, tangent, dt)[:, :, rods.prescribed :]
+    M = _bands(rods.inertia, slopes, tangent, dt, drag)[:, :, rods.prescribed :]
     factor, definite = bands.cholesky(M)
     wrong = ~definite & np.isfinite(M).all(axis=(1, 2))
     if wrong.any():
         clamped = _clamped(Derivatives._make(x[wrong] for x in slopes), rods.edge_length[wrong])
-        M[wrong] = _bands(rods.inertia[wrong], clamped, tangent[wrong], dt)[:, :, rods.prescribed :]
+        of_these = None if drag is None else drag._replace(C=drag.C[wrong])
+        lower = _bands(rods.inertia[wrong], clamped, tangent[wrong], dt, of_these)
+        M[wrong] = lower[:, :, rods.prescribed :]
         factor[wrong] = bands.cholesky(M[wrong])[0]
     return M, factor
 
 
-def _bands(inertia: Array, slopes: Derivatives, tangent: Array, dt: float) -> Array:
-    """Bands (R, 11, 4N + 3) of `𝕄 + dt² ∇²E`."""
+def _bands(
+    inertia: Array, slopes: Derivatives, tangent: Array, dt: float, drag: NodeDrag | None = None
+) -> Array:
+    """Bands (R, 11, 4N + 3) of `𝕄 + dt² ∇²E`, and of `dt C` with drag."""
     matrix = np.zeros((len(inertia), 11, inertia.shape[1]))
+    if drag is not None:
+        bands.add_blocks(matrix, dt * drag.C, 4)
     bands.add_blocks(matrix, dt**2 * (_NODE_MAP.T @ slopes.node_hessian @ _NODE_MAP), 4)
     along = tangent[..., :, None] * tangent[..., None, :]
     axial, transverse = slopes.axial[..., None, None], slopes.transverse[..., None, None]

@@ -17,10 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from fibercontact.rods.air import Drag
 from fibercontact.rods.basis import element_count, shape, shapes
-from fibercontact.rods.model import Rods, RootMotion, State, dofs, still
+from fibercontact.rods.model import Rods, RootMotion, State, dofs, part, still
 from fibercontact.rods.motion import POINTS, Samples, sample
 from fibercontact.rods.quadrature import gauss
+from fibercontact.threads import over_ranges
 
 __all__ = [
     "Energy",
@@ -34,6 +36,8 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
+_RODS = 128  # whose samples, a few MB, are in the cache at once
+
 
 class Energy(NamedTuple):
     """Energy of each rod, J."""
@@ -44,21 +48,44 @@ class Energy(NamedTuple):
 
 
 def step_system(
-    rods: Rods, state: State, root_motion: RootMotion | None, gravity: Array, dt: float
+    rods: Rods,
+    state: State,
+    root_motion: RootMotion | None,
+    gravity: Array,
+    dt: float,
+    drag: Drag | None = None,
 ) -> tuple[Array, Array]:
     """Assemble `M` (R, D, D) and `f` (R, D) of the linearly implicit step `M v + f = Hᵀ r`.
 
-    With `q + dt v` at the end of the step, `M = 𝕄 + dt nu 𝕂 + dt² 𝕂` and `f = −𝕄 v_t − dt (F − 𝕂 (q − q⁰))`.
-    M is symmetric positive definite. `gravity` (3,) in m/s², `dt` in s; `root_motion` None means still.
-    ValueError when dt is not positive.
+    With `q + dt v` at the end of the step, `M = 𝕄 + dt nu 𝕂 + dt² 𝕂` and `f = −𝕄 v_t − dt (F − 𝕂 (q − q⁰))`, and
+    the terms of `drag` (see `air`). M is symmetric positive definite. `gravity` (3,) in m/s², `dt` in s;
+    `root_motion` None means still. ValueError when dt is not positive.
     """
     if not dt > 0:
         raise ValueError(f"dt must be positive, not {dt}")
-    samples = sample(rods, state, root_motion or still(len(rods.length)))
+    R, D = state.v.shape
+    M, f, motion = np.empty((R, D, D)), np.empty((R, D)), root_motion or still(R)
+
+    def fill(first: int, end: int) -> None:
+        some = [part(whole, first, end) for whole in (rods, state, motion)]
+        M[first:end], f[first:end] = _step_system(some[0], some[1], some[2], gravity, dt, drag)
+
+    over_ranges(fill, R, _RODS)
+    return M, f
+
+
+def _step_system(
+    rods: Rods, state: State, root_motion: RootMotion, gravity: Array, dt: float, drag: Drag | None
+) -> tuple[Array, Array]:
+    samples = sample(rods, state, root_motion)
     inertia, K = _inertia(rods, samples), stiffness_matrix(rods)
     M = inertia + (dt * rods.damping + dt**2)[:, None, None] * K
     force = _load(rods, samples, gravity) - _elastic_force(rods, state, K)
-    return M, -_times(inertia, state.v) - dt * force
+    f = -_times(inertia, state.v) - dt * force
+    if drag is not None:
+        resistance, drift_force = _drag_terms(rods, samples, root_motion, drag)
+        M, f = M + dt * resistance, f + dt * drift_force
+    return M, f
 
 
 def advance(rods: Rods, state: State, v: Array, root_motion: RootMotion | None, dt: float) -> State:
@@ -159,6 +186,17 @@ def _load(rods: Rods, samples: Samples, gravity: Array) -> Array:
         torque = t_alpha * t + t_omega * np.cross(omega, t)
         F -= _power(samples.turning, _rotary_inertia(rods), torque)
     return F
+
+
+def _drag_terms(rods: Rods, samples: Samples, root_motion: RootMotion, drag: Drag) -> tuple[Array, Array]:
+    """Matrix (R, D, D) and vector (R, D) of the generalised force of drag, `−(matrix v + vector)`."""
+    J, length = samples.jacobian, _mass(rods) / rods.line_density[:, None]
+    slowed = drag.resistance(samples.tangent) @ J
+    drift = np.broadcast_to(-drag.wind, samples.position.shape)
+    if not rods.free:
+        turning = np.cross(root_motion.angular_velocity[:, None], samples.position)
+        drift = drift + root_motion.velocity[:, None] + turning
+    return _gramian(length[:, :, None, None] * J, slowed), _power(slowed, length, drift)
 
 
 def _power(J: Array, weight: Array, density: Array) -> Array:

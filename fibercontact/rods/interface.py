@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csr_array
 
 from fibercontact.rods import discrete_step, dynamics, kinematics
+from fibercontact.rods.air import Drag
 from fibercontact.rods.basis import CLOTHOID
 from fibercontact.rods.discrete_model import DiscreteRods, DiscreteState
 from fibercontact.rods.dynamics import Energy
@@ -43,8 +44,8 @@ class System(Protocol):
     def constraints(self) -> tuple[csr_array, Array] | None:
         """`G` (R D, l) and `c` (l,) of bilateral constraints `Gᵀ v + c = 0`, or None."""
 
-    def free_velocities(self) -> Array:
-        """The velocities (R, D) without contact."""
+    def free_velocities(self, impulse: Array | float = 0.0) -> Array:
+        """The velocities (R, D) without contact, or under known impulses `Hᵀ r` (R, D)."""
 
 
 class RodStep(Protocol):
@@ -93,7 +94,9 @@ class RodModel(Protocol):
     def energy(self, state: Any, gravity: Array) -> Energy:
         """Energy of each rod."""
 
-    def begin(self, state: Any, root_motion: RootMotion, gravity: Array, dt: float) -> RodStep:
+    def begin(
+        self, state: Any, root_motion: RootMotion, gravity: Array, dt: float, drag: Drag | None = None
+    ) -> RodStep:
         """Begin a step."""
 
 
@@ -117,9 +120,10 @@ class DenseSystem(NamedTuple):
     def constraints(self) -> None:
         """There is none."""
 
-    def free_velocities(self) -> Array:
-        """`−M⁻¹ f`, (R, D)."""
-        return np.asarray(np.linalg.solve(self.M, -self.f[:, :, None])[:, :, 0], dtype=np.float64)
+    def free_velocities(self, impulse: Array | float = 0.0) -> Array:
+        """`M⁻¹ (impulse − f)`, (R, D)."""
+        known = -(self.f - impulse)[:, :, None]
+        return np.asarray(np.linalg.solve(self.M, known)[:, :, 0], dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -131,13 +135,14 @@ class LinearlyImplicitStep:
     root_motion: RootMotion
     gravity: Array
     dt: float
+    drag: Drag | None = None
     v: Array | None = None
 
     @cached_property
     def system(self) -> DenseSystem:
         """The system of the step."""
         return DenseSystem(
-            *dynamics.step_system(self.rods, self.state, self.root_motion, self.gravity, self.dt)
+            *dynamics.step_system(self.rods, self.state, self.root_motion, self.gravity, self.dt, self.drag)
         )
 
     @property
@@ -185,9 +190,11 @@ class CurvatureModel:
         """Energy of each rod, J."""
         return dynamics.energy(self.rods, state, gravity)
 
-    def begin(self, state: State, root_motion: RootMotion, gravity: Array, dt: float) -> LinearlyImplicitStep:
+    def begin(
+        self, state: State, root_motion: RootMotion, gravity: Array, dt: float, drag: Drag | None = None
+    ) -> LinearlyImplicitStep:
         """Begin a step."""
-        return LinearlyImplicitStep(self.rods, state, root_motion, gravity, dt)
+        return LinearlyImplicitStep(self.rods, state, root_motion, gravity, dt, drag)
 
 
 @dataclass(frozen=True)
@@ -222,7 +229,12 @@ class DiscreteModel:
         return discrete_step.discrete_energy(self.rods, state, gravity)
 
     def begin(
-        self, state: DiscreteState, root_motion: RootMotion, gravity: Array, dt: float
+        self,
+        state: DiscreteState,
+        root_motion: RootMotion,
+        gravity: Array,
+        dt: float,
+        drag: Drag | None = None,
     ) -> discrete_step.ImplicitStep:
         """Begin a step."""
-        return discrete_step.begin(self.rods, state, root_motion, gravity, dt, self.tolerance)
+        return discrete_step.begin(self.rods, state, root_motion, gravity, dt, self.tolerance, drag)

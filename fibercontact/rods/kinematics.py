@@ -26,14 +26,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from fibercontact.jit import jit
 from fibercontact.rods.basis import Path, carry, element_count, new_path, shape, shapes
-from fibercontact.rods.model import Rods, RootMotion, State, dofs
+from fibercontact.rods.model import Rods, RootMotion, State, dofs, part
 from fibercontact.rods.quadrature import Rule, gauss
 from fibercontact.rods.vectors import column, cross, row
+from fibercontact.threads import over_ranges
 
 __all__ = ["Points", "centreline", "point_jacobian", "prescribed_velocity"]
 
 Array = NDArray[np.float64]
 _NODES = 8
+_RODS, _POINTS = 128, 512  # of a range, for a thread
 
 
 class Points(NamedTuple):
@@ -62,7 +64,14 @@ def point_jacobian(rods: Rods, state: State, rod: ArrayLike, s: ArrayLike) -> Po
     rod, s = _checked_points(rods, rod, s)
     m = len(s)
     points = Points(np.empty((m, 3)), np.empty((m, 3, 3)), np.zeros((m, 3, dofs(rods))))
-    _fill_points(rods, state, tabulate(rods, state), gauss(_NODES), rod, s, points)
+    elements, rule = tabulate(rods, state), gauss(_NODES)
+
+    def fill(first: int, end: int) -> None:
+        here = slice(first, end)
+        some = Points(*(x[here] for x in points))
+        _fill_points(rods, state, elements, rule, rod[here], s[here], some)
+
+    over_ranges(fill, m, _POINTS)
     return points
 
 
@@ -87,7 +96,13 @@ def centreline(rods: Rods, state: State, points: int) -> Array:
     element = np.minimum(vertex * E // points, E - 1)
     first, xi = np.searchsorted(element, np.arange(E + 1)), vertex * E / points - element
     vertices = np.empty((len(rods.length), points + 1, 3))
-    _fill_centreline(rods, state, tabulate(rods, state), first, xi, vertices)
+    elements = tabulate(rods, state)
+
+    def fill(begin: int, end: int) -> None:
+        some = (part(whole, begin, end) for whole in (rods, state, elements))
+        _fill_centreline(*some, first, xi, vertices[begin:end])
+
+    over_ranges(fill, len(vertices), _RODS)
     return vertices + state.root_position[:, None]
 
 
@@ -96,7 +111,13 @@ def tabulate(rods: Rods, state: State) -> Elements:
     R, E = len(rods.length), element_count(rods.basis, state.q)
     moments = (R, E, shapes(rods.basis), 3, 3)
     elements = Elements(np.empty((R, E, 3, 3)), np.empty((R, E, 3)), np.zeros(moments), np.zeros(moments))
-    _fill_elements(rods, state, gauss(_NODES), elements)
+    rule = gauss(_NODES)
+
+    def fill(first: int, end: int) -> None:
+        rods_, state_, elements_ = (part(whole, first, end) for whole in (rods, state, elements))
+        _fill_elements(rods_, state_, rule, elements_)
+
+    over_ranges(fill, R, _RODS)
     return elements
 
 

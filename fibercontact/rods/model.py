@@ -5,14 +5,14 @@ coefficients `q[j, i]`, coefficient by coefficient, in the order `(tau, kappa_1,
 more, which come first: velocity and angular velocity of its root in world axes. So `D = 3N` or `3N + 6`.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fibercontact.rods.basis import CLOTHOID, HELIX, shapes
 
-__all__ = ["Rods", "RootMotion", "State", "circular_rods", "dofs", "rest_state", "still"]
+__all__ = ["Rods", "RootMotion", "State", "circular_rods", "dofs", "part", "rest_state", "still"]
 
 Array = NDArray[np.float64]
 
@@ -54,6 +54,13 @@ class RootMotion(NamedTuple):
 def dofs(rods: Rods) -> int:
     """Count the degrees of freedom D of one rod."""
     return 3 * rods.q_rest.shape[1] + 6 * rods.free
+
+
+def part(batch: Any, first: int, end: int) -> Any:
+    """The rods `first` to `end` of a batch: of its data, its state or the motion of its roots (views)."""
+    return batch._replace(
+        **{name: x[first:end] for name, x in batch._asdict().items() if isinstance(x, np.ndarray)}
+    )
 
 
 def still(count: int) -> RootMotion:

@@ -17,13 +17,14 @@ from fibercontact.problem.fclib import Solution, write
 from fibercontact.problem.step import StepProblem
 from fibercontact.rods.interface import rod_model
 from fibercontact.simulation.scene import Scene, SceneError
-from fibercontact.simulation.scenes import SCENES, Parameters, build
+from fibercontact.simulation.scenes import HEADS, SCENES, Parameters, build
 from fibercontact.simulation.step import Step, World, simulate, start
 from fibercontact.simulation.strands import MODELS
 
 __all__ = [
     "COLUMNS",
     "CORE",
+    "LARGE",
     "SETS",
     "Dump",
     "ProblemSet",
@@ -59,7 +60,10 @@ RODS = ProblemSet(
 )
 """The same two scenes, one of clamped and one of free fibres, with each of the three rod models."""
 
-SETS = {problems.name: problems for problems in (CORE, RODS)}
+LARGE = ProblemSet("large", tuple(HEADS.values()), per_scene=4, fewest=3000, most=30_000)
+"""From heads of hair, two thousand fibres on most: gigabytes and hours, so made where it is wanted."""
+
+SETS = {problems.name: problems for problems in (CORE, RODS, LARGE)}
 """The sets by name."""
 
 COLUMNS = ("file", "scene", "step", "contacts", "dofs", "mu_min", "mu_max", "bytes", "hash")
@@ -137,17 +141,19 @@ def dump_set(
 class Dump:
     """Writes every so-manieth step of a run as a problem, as the run goes on, and a manifest after each.
 
-    Steps with fewer than `fewest` or more than `most` contacts are left out. Raises `SceneError` when the folder
-    has problems already.
+    Steps with fewer than `fewest` or more than `most` contacts are left out. A run that is taken up at the step
+    `first` goes on with the manifest. Raises `SceneError` when a run from the start finds problems in the folder.
     """
 
-    def __init__(self, scene: Scene, folder: Path, every: int, fewest: int, most: int) -> None:
-        if folder.is_dir() and any(folder.glob("*.hdf5")):
+    def __init__(
+        self, scene: Scene, folder: Path, every: int, fewest: int, most: int, first: int = 0
+    ) -> None:
+        if first == 0 and folder.is_dir() and any(folder.glob("*.hdf5")):
             raise SceneError(f"{folder}: has problems already; name another folder")
         folder.mkdir(parents=True, exist_ok=True)
         self.scene, self.folder = scene, folder
         self.every, self.fewest, self.most = every, fewest, most
-        self.rows: list[Row] = []
+        self.rows: list[Row] = [row for row in _read_manifest(folder) if int(str(row["step"])) < first]
 
     def add(self, step: Step) -> None:
         """Write the problem of a step if it is one of those asked for."""
@@ -156,6 +162,14 @@ class Dump:
         if self.fewest <= step.problem.n <= self.most:
             self.rows.append(_write_step(self.scene, step, self.folder))
             write_manifest(self.folder, self.rows)
+
+
+def _read_manifest(folder: Path) -> list[Row]:
+    file = folder / "manifest.csv"
+    if not file.is_file():
+        return []
+    with file.open(newline="", encoding="utf-8") as stream:
+        return [dict(row) for row in csv.DictReader(stream)]
 
 
 def write_manifest(folder: Path, rows: Sequence[Row]) -> None:

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from fibercontact.contact.obstacles import Obstacle
 from fibercontact.errors import UserError
+from fibercontact.rods.air import Drag
 from fibercontact.rods.interface import AnyRods, AnyState
 
-__all__ = ["STILL", "Body", "Motion", "Scene", "SceneError", "earth"]
+__all__ = ["STILL", "Air", "Body", "Motion", "Scene", "SceneError", "calm", "earth"]
 
 Array = NDArray[np.float64]
 
@@ -35,6 +36,30 @@ def earth(time: float) -> Array:
     return np.array([0.0, 0.0, -9.81])
 
 
+def calm(time: float) -> Array:
+    """No wind (3,), m/s."""
+    return np.zeros(3)
+
+
+@dataclass(frozen=True)
+class Air:
+    """Air that drags on the rods with coefficients across and along them, kg/(m s); `wind` (3,) in m/s.
+
+    ValueError when a coefficient is negative, or anything is not finite.
+    """
+
+    normal: float
+    tangential: float
+    wind: Callable[[float], Array] = calm
+
+    def __post_init__(self) -> None:
+        self.drag(0.0)
+
+    def drag(self, time: float) -> Drag:
+        """Its drag at a time."""
+        return Drag(self.normal, self.tangential, self.wind(time))
+
+
 @dataclass(frozen=True)
 class Body:
     """A rigid body that moves obstacles and clamped roots: its `pivot` at time 0 and its motion in time."""
@@ -48,10 +73,10 @@ class Body:
 class Scene:
     """A simulation that can be run: SI units throughout.
 
-    `carrier` (R,) is the body that each clamped root is fixed to. `gravity` is a function of time. Contacts
-    between fibres have the friction `mu_fibres`, those with obstacles `mu_obstacles`. The polylines of contact
-    detection have `segments` segments, or are the edges of discrete rods; `margin` and `skip_root` are those
-    of `contact.detect`. Raises `SceneError` naming what does not fit.
+    `carrier` (R,) is the body that each clamped root is fixed to. `gravity` is a function of time; without
+    `air` there is no drag. Contacts between fibres have the friction `mu_fibres`, those with obstacles
+    `mu_obstacles`. The polylines of contact detection have `segments` segments, or are the edges of discrete rods;
+    `margin` and `skip_root` are those of `contact.detect`. Raises `SceneError` naming what does not fit.
     """
 
     name: str
@@ -70,6 +95,7 @@ class Scene:
     skip_root: float = 0.0
     tolerance: float = 1e-4
     max_sweeps: int = 1000
+    air: Air | None = None
 
     def __post_init__(self) -> None:
         R = len(self.rods.length)

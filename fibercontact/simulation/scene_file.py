@@ -19,7 +19,7 @@ from fibercontact.contact.obstacles import Cylinder, Obstacle, Plane, Sphere
 from fibercontact.rods.interface import rod_model
 from fibercontact.rods.model import Rods, circular_rods
 from fibercontact.simulation import scene_schema as schema
-from fibercontact.simulation.scene import STILL, Body, Motion, Scene, SceneError
+from fibercontact.simulation.scene import STILL, Air, Body, Motion, Scene, SceneError
 from fibercontact.simulation.scenes import build
 from fibercontact.simulation.strands import (
     basis_of,
@@ -139,7 +139,7 @@ def _key(path: tuple[str | int, ...], table: Any) -> str:
 
 
 def _known_keys() -> set[str]:
-    tables = [schema.SceneFile, schema.Fibres, schema.Body, schema.Stage]
+    tables = [schema.SceneFile, schema.Fibres, schema.Body, schema.Stage, schema.AirTable]
     for union in (schema.Place, schema.Obstacle):
         tables += get_args(get_args(union)[0])
     return {key for table in tables if issubclass(table, BaseModel) for key in table.model_fields}
@@ -167,7 +167,15 @@ def _scene(given: schema.SceneFile, file: Path) -> Scene:
         mu_obstacles=given.mu if given.mu_obstacles is None else given.mu_obstacles,
         gravity=lambda time: gravity,
         skip_root=given.skip_root,
+        air=_air(given.air),
     )
+
+
+def _air(given: schema.AirTable | None) -> Air | None:
+    if given is None:
+        return None
+    wind = np.array(given.wind)
+    return Air(given.normal, given.tangential, lambda time: wind)
 
 
 def _name_of(file: Path) -> str:

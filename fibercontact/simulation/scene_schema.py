@@ -114,6 +114,14 @@ class Stage(_Table):
     frequency: NotNegative = 0.0  # Hz
 
 
+class AirTable(_Table):
+    """Drag coefficients across and along a fibre, kg/(m s), and a steady wind."""
+
+    normal: NotNegative
+    tangential: NotNegative
+    wind: Vector = [0.0, 0.0, 0.0]  # m/s
+
+
 class PlaneObstacle(_Table):
     """A half-space."""
 
@@ -168,5 +176,6 @@ class SceneFile(_Table):
     gravity: Vector = [0.0, 0.0, -9.81]  # m/s²
     skip_root: NotNegative = 0.0  # m
     seed: Annotated[int, Field(ge=0)] = 0
+    air: AirTable | None = None
     fibres: Annotated[list[Fibres], Field(min_length=1)]
     bodies: list[Body] = []

@@ -1,4 +1,4 @@
-"""The scenes: six kinds, each a function of the number of fibres, their curl, the friction and a seed.
+"""The scenes: seven kinds, each a function of the number of fibres, their curl, the friction and a seed.
 
 Every fibre starts straight, so that none overlaps another, and curls up as the scene runs. The fibres are
 strands of 0.5 mm radius as heavy for their stiffness as long hair is: the dimensionless weight
@@ -27,7 +27,7 @@ from fibercontact.simulation.strands import (
     turned_frames,
 )
 
-__all__ = ["KINDS", "SCENES", "Parameters", "build"]
+__all__ = ["HEADS", "KINDS", "SCENES", "Parameters", "build"]
 
 Array = NDArray[np.float64]
 
@@ -88,7 +88,20 @@ def wisp(p: Parameters, rng: np.random.Generator) -> Scene:
 
 def head(p: Parameters, rng: np.random.Generator) -> Scene:
     """Hair on the upper part of a sphere that is shaken sideways and nods."""
-    radius = 0.05
+    return _hair(p, rng, head, 0.05)
+
+
+def scalp(p: Parameters, rng: np.random.Generator) -> Scene:
+    """Hair on a head of full size, for up to thousands of fibres, that is shaken sideways and nods."""
+    return _hair(p, rng, scalp, 0.1)
+
+
+def _hair(
+    p: Parameters,
+    rng: np.random.Generator,
+    kind: Callable[[Parameters, np.random.Generator], Scene],
+    radius: float,
+) -> Scene:
     normals = cap(p.fibres)
     rods = _rods(p, 0.18, rng)
 
@@ -99,7 +112,7 @@ def head(p: Parameters, rng: np.random.Generator) -> Scene:
 
     body = Body(np.zeros(3), shake, [Sphere(np.zeros(3), radius)])
     frames = turned_frames(normals + 0.1 * rng.standard_normal(normals.shape), rng)
-    return _scene(p, head, rods, radius * normals, frames, [body], dt=4e-3, steps=200, skip_root=4e-3)
+    return _scene(p, kind, rods, radius * normals, frames, [body], dt=4e-3, steps=200, skip_root=4e-3)
 
 
 def _dropped(p: Parameters, rng: np.random.Generator, spread: float, low: float) -> tuple[Rods, Array, Array]:
@@ -196,7 +209,7 @@ def _name(p: Parameters) -> str:
 
 
 KINDS: Mapping[str, Callable[[Parameters, np.random.Generator], Scene]] = {
-    kind.__name__: kind for kind in (wisp, head, plane, cylinder, twist, comb)
+    kind.__name__: kind for kind in (wisp, head, plane, cylinder, twist, comb, scalp)
 }
 
 _RUNS = (
@@ -224,6 +237,19 @@ SCENES: Mapping[str, Parameters] = {_name(p): p for p in _RUNS}
 """The scenes by name: three of each kind."""
 
 
+_HEADS = (
+    Parameters("scalp", 2000, "mixed", 0.3, 0.3, 31),
+    Parameters("scalp", 2000, "curly", 0.1, 0.1, 32),
+    Parameters("scalp", 2000, "straight", 0.2, 0.4, 33),
+    Parameters("scalp", 2000, "mixed", 0.3, 0.3, 31, "clothoid"),
+    Parameters("scalp", 2000, "wavy", 1.0, 0.5, 35, "clothoid"),
+    Parameters("scalp", 1000, "straight", 0.8, 0.8, 36, "clothoid"),
+)
+
+HEADS: Mapping[str, Parameters] = {_name(p): p for p in _HEADS}
+"""Heads of hair of full size by name, with 3000 contacts and more."""
+
+
 def build(scene: str | Parameters) -> Scene:
     """Build a scene from parameters or by its name; `NAME@MODEL` is the same scene with other rods.
 
@@ -231,9 +257,10 @@ def build(scene: str | Parameters) -> Scene:
     """
     if isinstance(scene, str):
         name, _, model = scene.partition("@")
-        if name not in SCENES:
-            raise SceneError(f"unknown scene {name!r} (known: {', '.join(SCENES)})")
-        scene = replace(SCENES[name], model=model or "helix")
+        known = {key.partition("@")[0]: p for key, p in {**HEADS, **SCENES}.items()}
+        if name not in known:
+            raise SceneError(f"unknown scene {name!r} (known: {', '.join(SCENES)}, {', '.join(HEADS)})")
+        scene = replace(known[name], model=model or "helix")
     if scene.kind not in KINDS:
         raise SceneError(f"unknown kind of scene {scene.kind!r} (known: {', '.join(KINDS)})")
     if scene.fibres < 2:

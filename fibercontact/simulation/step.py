@@ -1,7 +1,6 @@
 """One step of a scene: detect, differentiate, assemble, condense, solve, move."""
 
-import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -19,7 +18,9 @@ from fibercontact.problem.constrained import ConstrainedStep
 from fibercontact.problem.step import StepProblem
 from fibercontact.rods.interface import AnyState, RodModel, RodStep, System, rod_model
 from fibercontact.rods.model import RootMotion
+from fibercontact.simulation.penalty import Penalty
 from fibercontact.simulation.scene import Body, Motion, Scene
+from fibercontact.simulation.watch import Watch
 
 __all__ = ["SimulationError", "Step", "World", "simulate", "start"]
 
@@ -46,7 +47,8 @@ class Step:
     """One step: the problem it posed (None without contact), the guess it started from, and its answer.
 
     When rods take more than one system a step, these are of the last one; its guess is the impulse of the one
-    before.
+    before. Penalty contact poses no problem: contacts and impulses are those of the world. `parts` are the seconds
+    that each part of the step took (see `simulation.watch`).
     """
 
     index: int
@@ -55,7 +57,12 @@ class Step:
     problem: StepProblem | ConstrainedStep | None
     guess: Array  # (3n,)
     run: Run | None
-    seconds: float
+    parts: Mapping[str, float]
+
+    @property
+    def seconds(self) -> float:
+        """What the step took, s."""
+        return sum(self.parts.values())
 
 
 def start(scene: Scene) -> World:
@@ -63,12 +70,15 @@ def start(scene: Scene) -> World:
     return World(0.0, scene.state, tuple(scene.bodies))
 
 
-def simulate(scene: Scene, world: World | None = None, first: int = 0) -> Iterator[Step]:
+def simulate(
+    scene: Scene, world: World | None = None, first: int = 0, *, penalty: Penalty | None = None
+) -> Iterator[Step]:
     """Run a scene step by step, from its start or from the `world` before the step `first`.
 
-    The same scene gives the same steps, bit for bit, on the same machine, wherever it is taken up.
+    With explicit `penalty` contact where it is given, with Coulomb's law otherwise. The same scene gives the same
+    steps, bit for bit, on the same machine, wherever it is taken up.
     """
-    solver = GaussSeidel(
+    contact = penalty or GaussSeidel(
         configure("secular", registered()),
         tolerance=scene.tolerance,
         max_sweeps=scene.max_sweeps,
@@ -76,33 +86,39 @@ def simulate(scene: Scene, world: World | None = None, first: int = 0) -> Iterat
     )
     world = world or start(scene)
     for index in range(first, scene.steps):
-        step = take_step(scene, solver, world, index)
+        step = take_step(scene, contact, world, index)
         yield step
         world = step.world
 
 
-def take_step(scene: Scene, solver: GaussSeidel, world: World, index: int) -> Step:
+def take_step(scene: Scene, contact: GaussSeidel | Penalty, world: World, index: int) -> Step:
     """Advance a world by one step of its scene; raises `SimulationError` when the motion has blown up."""
-    began = time.perf_counter()
+    watch = Watch()
     end = world.time + scene.dt
     motions = [body.motion(end) for body in world.bodies]
     obstacles = _moving_obstacles(world.bodies, motions)
     rods = rod_model(scene.rods)
-    rod_step = rods.begin(world.state, _root_motion(scene, world, motions), scene.gravity(end), scene.dt)
+    root_motion = _root_motion(scene, world, motions)
+    drag = None if scene.air is None else scene.air.drag(end)
+    rod_step = rods.begin(world.state, root_motion, scene.gravity(end), scene.dt, drag)
     _check_finite(scene, world, rod_step)
+    watch.lap("rods")
     contacts = detect(
         rods.centreline(world.state, scene.segments), scene.rods.length, scene.rods.radius,
         margin=scene.margin, skip_root=max(scene.skip_root, rods.held_length), obstacles=obstacles,
     )  # fmt: skip
+    watch.lap("detection")
     if len(contacts.gap) == 0:
         rod_step = _without_contact(scene, world, rods, rod_step)
         answer = _Answer(rod_step, None, np.zeros(0), None, np.zeros((0, 3)))
+    elif isinstance(contact, Penalty):
+        answer = _with_penalty(scene, contact, world, rods, rod_step, contacts, obstacles)
     else:
-        answer = _with_contact(scene, solver, world, rods, rod_step, contacts, obstacles)
+        answer = _with_contact(scene, contact, world, rods, rod_step, contacts, obstacles, watch)
     state, bodies = answer.rod_step.end(), _moved(scene, world, motions)
     moved = World(end, state, bodies, contacts, answer.impulses)
-    seconds = time.perf_counter() - began
-    return Step(index, moved, contacts, answer.problem, answer.guess, answer.run, seconds)
+    watch.lap("rods")
+    return Step(index, moved, contacts, answer.problem, answer.guess, answer.run, watch.seconds)
 
 
 class _Answer(NamedTuple):
@@ -115,14 +131,37 @@ class _Answer(NamedTuple):
     impulses: Array  # (n, 3) world axes
 
 
-def _without_contact(scene: Scene, world: World, rods: RodModel, rod_step: RodStep) -> RodStep:
+def _without_contact(
+    scene: Scene, world: World, rods: RodModel, rod_step: RodStep, impulse: Array | float = 0.0
+) -> RodStep:
+    """Move rods under known impulses `Hᵀ r` (R, D)."""
     for _ in range(rods.iterations):
         _check_finite(scene, world, rod_step)
-        v = rod_step.system.free_velocities()
-        rod_step = rod_step.moved(v, np.zeros_like(v))
+        v = rod_step.system.free_velocities(impulse)
+        rod_step = rod_step.moved(v, np.broadcast_to(impulse, v.shape))
         if rod_step.converged:
             break
     return rod_step
+
+
+def _with_penalty(
+    scene: Scene,
+    penalty: Penalty,
+    world: World,
+    rods: RodModel,
+    rod_step: RodStep,
+    contacts: Contacts,
+    obstacles: list[Obstacle],
+) -> _Answer:
+    """Move rods under the forces that contacts have at the beginning of the step."""
+    system = _contact_system(scene, rods, rod_step, contacts, obstacles, beta=0.0)
+    shape = rod_step.system.f.shape
+    v = world.state.v[:, -shape[1] :]  # prescribed dofs come first
+    u = (system.H @ v.ravel() + system.w).reshape(-1, 3)
+    r = scene.dt * penalty.forces(contacts.gap, u, _friction(scene, contacts))
+    impulse = (system.H.T @ r.ravel()).reshape(shape)
+    moved = _without_contact(scene, world, rods, rod_step, impulse)
+    return _Answer(moved, None, np.zeros(r.size), None, np.einsum("nji,nj->ni", system.frames, r))
 
 
 def _with_contact(
@@ -133,14 +172,20 @@ def _with_contact(
     rod_step: RodStep,
     contacts: Contacts,
     obstacles: list[Obstacle],
+    watch: Watch,
 ) -> _Answer:
     """Solve the problems of a step; contacts stay where they are at its beginning."""
     system = _contact_system(scene, rods, rod_step, contacts, obstacles)
     guess = _guess(world, contacts, system.frames)
+    watch.lap("assembly")
     for iteration in range(1, rods.iterations + 1):
         _check_finite(scene, world, rod_step)
+        watch.lap("rods")
         problem = _problem(scene, rod_step.system, contacts, system)
-        run = solver.solve(problem.condense(), guess)
+        condensed = problem.condense()
+        watch.lap("condensation")
+        run = solver.solve(condensed, guess)
+        watch.lap("solve")
         v, impulse = problem.velocities(run.r), system.H.T @ run.r
         shape = rod_step.system.f.shape
         rod_step = rod_step.moved(v.reshape(shape), impulse.reshape(shape))
@@ -160,10 +205,14 @@ def _check_finite(scene: Scene, world: World, rod_step: RodStep) -> None:
 def _problem(
     scene: Scene, system: System, contacts: Contacts, contact_system: ContactSystem
 ) -> StepProblem | ConstrainedStep:
-    mu = np.where(contacts.obstacle < 0, scene.mu_fibres, scene.mu_obstacles).astype(float)
+    mu = _friction(scene, contacts)
     step = StepProblem(system.matrix(), system.f.ravel(), contact_system.H, contact_system.w, mu)
     constraints = system.constraints()
     return step if constraints is None else ConstrainedStep(step, *constraints)
+
+
+def _friction(scene: Scene, contacts: Contacts) -> Array:
+    return np.where(contacts.obstacle < 0, scene.mu_fibres, scene.mu_obstacles).astype(float)
 
 
 def _moved(scene: Scene, world: World, motions: list[Motion]) -> tuple[Body, ...]:
@@ -179,16 +228,26 @@ def _moved(scene: Scene, world: World, motions: list[Motion]) -> tuple[Body, ...
 
 
 def _contact_system(
-    scene: Scene, rods: RodModel, rod_step: RodStep, contacts: Contacts, obstacles: list[Obstacle]
+    scene: Scene,
+    rods: RodModel,
+    rod_step: RodStep,
+    contacts: Contacts,
+    obstacles: list[Obstacle],
+    beta: float = 0.2,
 ) -> ContactSystem:
-    """The Jacobians of both sides of every contact, assembled; side B of an obstacle is not read."""
-    jacobian_a, drift_a = rod_step.contact_points(contacts.fibre_a, contacts.s_a)
-    jacobian_b, drift_b = rod_step.contact_points(np.maximum(contacts.fibre_b, 0), contacts.s_b)
+    """The Jacobians of both sides of every contact, assembled; side B of an obstacle is not read.
+
+    Overlaps are undone at the rate `beta`, as `assemble` says; with zero, `H v + w` is their velocity.
+    """
+    both = np.concatenate([contacts.fibre_a, np.maximum(contacts.fibre_b, 0)])
+    jacobian, drift = rod_step.contact_points(both, np.concatenate([contacts.s_a, contacts.s_b]))
+    (jacobian_a, jacobian_b), (drift_a, drift_b) = (np.split(x, 2) for x in (jacobian, drift))
     of_obstacles = obstacle_drift(contacts, obstacles)
     drift_b = np.where(contacts.obstacle[:, None] < 0, drift_b, of_obstacles)
     system = assemble(
-        contacts, jacobian_a, jacobian_b, drift_a, drift_b, dt=scene.dt, rods=len(scene.rods.length)
-    )
+        contacts, jacobian_a, jacobian_b, drift_a, drift_b,
+        dt=scene.dt, rods=len(scene.rods.length), beta=beta,
+    )  # fmt: skip
     if rods.local_support:
         system.H.eliminate_zeros()
     return system

@@ -1,0 +1,1 @@
+"""Pictures of scenes and problems: stills, pages to turn about, animations."""
