@@ -73,7 +73,7 @@ def test_the_longest_step_ends_on_the_cone(x, dx):
         z = x + share * dx
         return z[0] - np.hypot(z[1], z[2])
 
-    if not np.isfinite(step):
+    if step > 1e6:  # along the cone, but for rounding
         assert margin(1e6) > -1e-3
         return
     assert step > 0
