@@ -12,7 +12,7 @@ import argparse
 import numpy as np
 from scipy.sparse import block_diag, csr_array
 
-from fibercontact.gauss_seidel.solver import GaussSeidel
+from fibercontact.gauss_seidel.solver import LOOPS, GaussSeidel
 from fibercontact.gauss_seidel.sweep import block_system
 from fibercontact.local.registry import configure, registered
 from fibercontact.problem.incremental import IncrementalProblem
@@ -58,7 +58,7 @@ def main() -> None:
     known = registered()
     loops = {
         name: GaussSeidel(
-            configure(name, known), tolerance=0.0, max_sweeps=SWEEPS, check_every=SWEEPS, negligible=0.0
+            configure(name, known), 0.0, SWEEPS, check_every=SWEEPS, negligible=0.0, **LOOPS["plain"]
         )
         for name in given.solvers.split(",")
     }

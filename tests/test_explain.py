@@ -41,7 +41,7 @@ from fibercontact.bench.problem_set import find_problem
 from fibercontact.bench.protocol import BenchError
 from fibercontact.bench.visits import VisitRecord
 from fibercontact.cli import app
-from fibercontact.gauss_seidel.solver import GaussSeidel
+from fibercontact.gauss_seidel.solver import LOOPS, GaussSeidel
 from fibercontact.gauss_seidel.visit_log import RECENT
 from fibercontact.jit import jit
 from fibercontact.local.contract import LocalSolver, Status
@@ -248,7 +248,7 @@ def test_a_change_of_regime_of_a_real_plateau_is_foretold():
     about = ABOUT | {"tolerance": 1e-8}
 
     def run(sweeps):
-        return logged(GaussSeidel(local("secular"), 1e-8, sweeps), laid, None, about)[2]
+        return logged(GaussSeidel(local("secular"), 1e-8, sweeps, **LOOPS["plain"]), laid, None, about)[2]
 
     record = run(4000)
     motion = examine(record, laid, local("secular"), local("secular")).motion
@@ -349,7 +349,7 @@ def rough():
 
 def run_on_rough(solver, sweeps=20):
     laid = lay_out(rough())
-    loop = GaussSeidel(solver, tolerance=1e-9, max_sweeps=sweeps)
+    loop = GaussSeidel(solver, tolerance=1e-9, max_sweeps=sweeps, **LOOPS["plain"])
     about = ABOUT | {"solver": "made-up", "max_sweeps": sweeps}
     return laid, *logged(loop, laid, None, about)
 
@@ -505,7 +505,7 @@ def facts_of_failures(sweeps=300):
 
 def facts_of_nothing():
     laid = lay_out(oracles.strands(0, contacts=0).condense())
-    record = logged(GaussSeidel(local("secular")), laid, None, ABOUT)[2]
+    record = logged(GaussSeidel(local("secular"), **LOOPS["plain"]), laid, None, ABOUT)[2]
     return examine(record, laid, local("secular"), local("secular"))
 
 

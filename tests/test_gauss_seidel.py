@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from fibercontact.gauss_seidel.anderson import Acceleration, no_memory
 from fibercontact.gauss_seidel.loop import compile_loop, new_guard, run_sweeps, watch
-from fibercontact.gauss_seidel.solver import GaussSeidel, Outcome
+from fibercontact.gauss_seidel.solver import LOOPS, GaussSeidel, Outcome
 from fibercontact.gauss_seidel.sweep import COUNTERS, block_system, residual_from, velocity
 from fibercontact.gauss_seidel.visit_log import no_log
 from fibercontact.jit import jit
@@ -48,16 +48,16 @@ def degenerate(seed=1):
 
 
 def solver(name="secular", **how):
-    return GaussSeidel(local(name), **({"tolerance": 1e-10, "max_sweeps": 3000} | how))
+    return GaussSeidel(local(name), **(LOOPS["plain"] | {"tolerance": 1e-10, "max_sweeps": 3000} | how))
 
 
 def sweeps_from_zero(problem, name, count, proximal=0.0):
     """The last iterate after some sweeps, none skipped and none kept, whatever its residual."""
     compile_loop()
     system, c = block_system(problem), local(name)
-    how = GaussSeidel(c, tolerance=0.0, check_every=1, proximal=proximal, negligible=0.0)._sweeper(
-        problem.b_ref
-    )
+    how = GaussSeidel(
+        c, tolerance=0.0, check_every=1, proximal=proximal, acceleration=None, negligible=0.0
+    )._sweeper(problem.b_ref)
     r, u = np.zeros(3 * problem.n), np.empty(3 * problem.n)
     velocity(system, r, u)
     counts = np.zeros(COUNTERS, dtype=np.int64)
@@ -322,7 +322,9 @@ def test_a_local_solver_that_fails_ends_in_a_finite_unclaimed_run(kernel, how):
     entry = SimpleNamespace(solver=LocalSolver(kernel), origin="here")
     problem = strands(0)
     with np.errstate(all="ignore"):  # when interpreted, numpy speaks of the overflows
-        run = GaussSeidel(Configured("bad", entry, np.empty(0), 0), max_sweeps=20, **how).solve(problem)
+        run = GaussSeidel(
+            Configured("bad", entry, np.empty(0), 0), max_sweeps=20, **(LOOPS["plain"] | how)
+        ).solve(problem)
     assert not run.claimed
     assert np.isfinite(run.r).all()
     assert run.residual <= measure(problem, np.zeros(3 * problem.n)).residual * (1 + 1e-12)

@@ -21,7 +21,7 @@ from fibercontact.bench.level1 import Plan, batches, measure
 from fibercontact.bench.level1_report import solver_table, strata
 from fibercontact.bench.problem_set import load_set
 from fibercontact.cli import app
-from fibercontact.gauss_seidel.solver import GaussSeidel
+from fibercontact.gauss_seidel.solver import LOOPS, GaussSeidel
 from fibercontact.local.contract import Status
 from fibercontact.local.one_contact import (
     OneContacts,
@@ -445,7 +445,8 @@ def test_a_harvest_is_visits_of_the_runs_with_the_hard_ones_beside(folder, monke
 def test_the_sample_is_of_visits_that_were_made(folder):
     problem = fclib.read(folder / "0.hdf5").problem.condense()
     visits = [
-        GaussSeidel(configured(name), 1e-4, 1000).solve(problem).visits.total for name in ("secular", "pac")
+        GaussSeidel(configured(name), 1e-4, 1000, **LOOPS["plain"]).solve(problem).visits.total
+        for name in ("secular", "pac")
     ]
     found, counts = harvest(load_set(folder)[:1], [configured("secular")], lambda text: None)
     uniform = found.select(found.family == "uniform: secular")

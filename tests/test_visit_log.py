@@ -8,7 +8,7 @@ import pytest
 
 from fibercontact.gauss_seidel.anderson import Acceleration
 from fibercontact.gauss_seidel.loop import CURE, MARK, PATIENCE
-from fibercontact.gauss_seidel.solver import GaussSeidel
+from fibercontact.gauss_seidel.solver import LOOPS, GaussSeidel
 from fibercontact.gauss_seidel.sweep import block_system
 from fibercontact.gauss_seidel.visit_log import (
     BY_SWEEP,
@@ -49,7 +49,7 @@ def run(name="secular", problem=None, sweeps=40, capacity=2000, log=None, **how)
     problem = problem or degenerate()
     log = new_log(problem.n, sweeps, capacity) if log is None else log
     settings = {"tolerance": 1e-300, "max_sweeps": sweeps, "check_every": 1, "negligible": 0.0} | how
-    solver = GaussSeidel(local(name), **settings)
+    solver = GaussSeidel(local(name), **(LOOPS["plain"] | settings))
     return solver.solve_system(block_system(problem), problem.b_ref, history=True, log=log), log
 
 
@@ -221,7 +221,7 @@ def test_the_coming_of_the_proximal_term_is_noted():
 @pytest.mark.parametrize("how", [{}, ACCELERATED], ids=["plain", "accelerated"])
 def test_a_log_does_not_change_the_answer(name, how):
     problem = degenerate()
-    solver = GaussSeidel(local(name), tolerance=1e-8, max_sweeps=150, **how)
+    solver = GaussSeidel(local(name), tolerance=1e-8, max_sweeps=150, **(LOOPS["plain"] | how))
     system = block_system(problem)
     bare = solver.solve_system(system, problem.b_ref)
     logged = solver.solve_system(system, problem.b_ref, log=new_log(problem.n, 150, 10))

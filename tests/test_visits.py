@@ -30,7 +30,7 @@ from fibercontact.bench.visits import (
     write_log,
 )
 from fibercontact.cli import app
-from fibercontact.gauss_seidel.solver import GaussSeidel, Outcome, Run, Visits
+from fibercontact.gauss_seidel.solver import LOOPS, GaussSeidel, Outcome, Run, Visits
 from fibercontact.gauss_seidel.visit_log import RECENT, new_log
 from fibercontact.local.contract import Status
 from fibercontact.local.registry import configure, registered
@@ -67,7 +67,7 @@ def unit(folder, solver=FAILING):
 def recorded(folder, solver=FAILING):
     """A record of a real run."""
     laid = lay_out(chain(6, 0))
-    loop = GaussSeidel(configure(solver, registered()), tolerance=1e-12, max_sweeps=50)
+    loop = GaussSeidel(configure(solver, registered()), tolerance=1e-12, max_sweeps=50, **LOOPS["plain"])
     return logged(loop, laid, None, unit(folder, solver).about())
 
 
@@ -102,7 +102,7 @@ def test_a_record_comes_back_as_it_was_written(folder, tmp_path):
 
 def test_a_logged_run_is_the_run(folder):
     laid, local = lay_out(chain(6, 0)), configure(FAILING, registered())
-    loop = GaussSeidel(local, tolerance=1e-12, max_sweeps=50, check_every=1)
+    loop = GaussSeidel(local, tolerance=1e-12, max_sweeps=50, check_every=1, **LOOPS["plain"])
     bare = loop.solve_system(laid.system, laid.problem.b_ref)
     found, _, _ = logged(loop, laid, None, {})
     np.testing.assert_array_equal(found.r, bare.r)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from fibercontact.bench.contact_verdict import judge, reason_of, velocities
 from fibercontact.bench.passes import lay_out
 from fibercontact.bench.problem_set import Entry
-from fibercontact.gauss_seidel.solver import GaussSeidel
+from fibercontact.gauss_seidel.solver import LOOPS, GaussSeidel
 from fibercontact.gauss_seidel.visit_log import new_log, samples
 from fibercontact.local.hard_set import hard_set
 from fibercontact.local.one_contact import OneContacts, replay
@@ -62,7 +62,7 @@ def harvest(
         laid = lay_out(read(entry.file).problem)
         for k, (name, local) in enumerate(runners.items()):
             log = new_log(laid.problem.n, 0, LOOKED_AT)
-            loop = GaussSeidel(local, TOLERANCE, SWEEPS, max_seconds=np.inf)
+            loop = GaussSeidel(local, TOLERANCE, SWEEPS, np.inf, **LOOPS["plain"])
             loop.solve_system(laid.system, laid.problem.b_ref, log=log)
             contacts = from_visits(samples(log)[0])
             counts["visits"] += int(log.state[1])

@@ -19,8 +19,7 @@ from scipy.sparse import csr_array
 
 from fibercontact.bench.protocol import ACCURACIES, OUTERS, BenchError, Limits
 from fibercontact.bench.visits import SAMPLE, VisitRecord, record_of, write_log
-from fibercontact.gauss_seidel.anderson import Acceleration
-from fibercontact.gauss_seidel.solver import GaussSeidel, Outcome, Run, Visits
+from fibercontact.gauss_seidel.solver import LOOPS, GaussSeidel, Outcome, Run, Visits
 from fibercontact.gauss_seidel.sweep import BlockSystem, block_system
 from fibercontact.gauss_seidel.visit_log import new_log
 from fibercontact.local.contract import Status
@@ -65,11 +64,8 @@ class Pass(NamedTuple):
 
 
 def gauss_seidel(local: Configured, tolerance: float, outer: str, limits: Limits) -> GaussSeidel:
-    """The outer loop by name: `plain`, or `accelerated` (proximal term, Anderson acceleration; THEORY §4)."""
-    loop = GaussSeidel(local, tolerance, limits.sweeps, limits.seconds)
-    if outer == "accelerated":
-        return dataclasses.replace(loop, proximal=0.05, acceleration=Acceleration())
-    return loop
+    """The outer loop by its name, one of `LOOPS`."""
+    return GaussSeidel(local, tolerance, limits.sweeps, limits.seconds, **LOOPS[outer])
 
 
 def lay_out(problem: IncrementalProblem | StepProblem) -> Laid:
@@ -220,6 +216,7 @@ def _account(run: Run, found: Measure) -> dict[str, Any]:
     return {
         "outcome": run.outcome.name.lower(),
         "sweeps": run.sweeps,
+        "rescue": run.rescue,
         "visits_open": visits.open,
         "visits_stick": visits.stick,
         "visits_slip": visits.slip,

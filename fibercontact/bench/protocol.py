@@ -27,7 +27,7 @@ ACCURACIES = {"low": 1e-2, "mid": 1e-4, "high": 1e-6, "full": 1e-8}
 """Tolerances on the residual, relative to b."""
 
 STARTS = ("cold", "guess")
-OUTERS = ("plain", "accelerated")
+OUTERS = ("plain", "accelerated", "robust")
 LOGS = ("visits",)
 
 DEFAULT_SOLVERS = (

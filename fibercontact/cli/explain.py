@@ -28,7 +28,7 @@ def explain(
     solver: Annotated[str, typer.Argument(metavar="SOLVER", help="Local solver, `NAME[:option=value,...]`.")],
     accuracy: Annotated[str, typer.Option(help=f"{', '.join(ACCURACIES)}.")] = "mid",
     start: Annotated[str, typer.Option(help="cold (zero) or guess (the file's first).")] = "cold",
-    outer: Annotated[str, typer.Option(help="Gauss–Seidel: plain or accelerated.")] = "plain",
+    outer: Annotated[str, typer.Option(help="Gauss–Seidel: plain, accelerated or robust.")] = "plain",
     plugin: Plugins = None,
     max_sweeps: Annotated[int, typer.Option(help="Sweeps at most.", min=0)] = 5000,
     max_seconds: Annotated[float, typer.Option(help="Seconds a run at most.", min=0)] = 30.0,

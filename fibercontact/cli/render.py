@@ -272,7 +272,6 @@ def _draw_problem(entry: "Entry", files: Sequence[Path]) -> None:
 
 def _answer(entry: "Entry") -> "Answered":
     """The file's own solution if it is one, otherwise one that is computed here."""
-    from fibercontact.gauss_seidel.anderson import Acceleration
     from fibercontact.gauss_seidel.solver import GaussSeidel
     from fibercontact.local.registry import configure, registered
     from fibercontact.problem.fclib import read
@@ -284,10 +283,7 @@ def _answer(entry: "Entry") -> "Answered":
     given = found.solution.r if found.solution else None
     if given is not None and measure(problem, given).residual <= TOLERANCE:
         return answered(entry.name, problem, given, "the file's solution")
-    loop = GaussSeidel(
-        configure("secular", registered()), TOLERANCE, MAX_SWEEPS, proximal=0.05, acceleration=Acceleration()
-    )
-    run = loop.solve(problem)
+    run = GaussSeidel(configure("secular", registered()), TOLERANCE, MAX_SWEEPS).solve(problem)
     return answered(
         entry.name, problem, run.r, "solved by secular" if run.claimed else "secular's best, not solved"
     )

@@ -24,7 +24,7 @@ def solve(
     solver: Annotated[str, typer.Option(metavar="NAME", help="Local solver, `NAME[:option=value,...]`.")],
     accuracy: Annotated[str, typer.Option(help=f"{', '.join(ACCURACIES)}.")] = "mid",
     start: Annotated[str, typer.Option(help="cold (zero) or guess (the file's first).")] = "cold",
-    outer: Annotated[str, typer.Option(help="Gauss–Seidel: plain or accelerated.")] = "plain",
+    outer: Annotated[str, typer.Option(help="Gauss–Seidel: plain, accelerated or robust.")] = "plain",
     plugin: Plugins = None,
     max_sweeps: Annotated[int, typer.Option(help="Sweeps at most.", min=0)] = 5000,
     max_seconds: Annotated[float, typer.Option(help="Seconds at most.", min=0)] = 30.0,

@@ -43,7 +43,7 @@ def table(
         typer.Option(metavar="LEVEL", help="Failure rates only at this one, in parallel; repeatable."),
     ] = None,
     start: Annotated[str, typer.Option(help="cold (zero) or guess (the file's first).")] = "cold",
-    outer: Annotated[str, typer.Option(help="Gauss–Seidel: plain or accelerated.")] = "plain",
+    outer: Annotated[str, typer.Option(help="Gauss–Seidel: plain, accelerated or robust.")] = "plain",
     repetitions: Annotated[int, typer.Option(help="Timed passes.", min=3)] = 3,
     jobs: Annotated[int, typer.Option(help="Processes for the rates; 0: one a core.", min=0)] = 0,
     limit: Annotated[

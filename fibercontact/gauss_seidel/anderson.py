@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fibercontact.jit import jit
 
-__all__ = ["Acceleration", "Memory", "extrapolate", "no_memory", "remember"]
+__all__ = ["Acceleration", "Memory", "extrapolate", "forget", "no_memory", "remember"]
 
 Array = NDArray[np.float64]
 
@@ -49,6 +49,11 @@ class Acceleration:
 def no_memory() -> Memory:
     """The memory of a run that is not accelerated."""
     return Acceleration(window=0).memory(0)
+
+
+def forget(m: Memory) -> None:
+    """Drop the memory."""
+    m.state[0] = 0.0
 
 
 @jit

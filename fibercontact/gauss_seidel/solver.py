@@ -1,4 +1,4 @@
-"""Block Gauss–Seidel over a local solver: the loop of THEORY §4, plain or accelerated."""
+"""Block Gauss–Seidel over a local solver: the loop of THEORY §4, plain, accelerated, or robust."""
 
 import math
 import time
@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fibercontact.gauss_seidel.anderson import Acceleration, no_memory
+from fibercontact.gauss_seidel.anderson import Acceleration, Memory, forget, no_memory
+from fibercontact.gauss_seidel.interior_point import interior_point
 from fibercontact.gauss_seidel.loop import compile_loop, new_guard, run_sweeps, scale_impulse
 from fibercontact.gauss_seidel.sweep import (
     COUNTERS,
@@ -22,12 +23,25 @@ from fibercontact.gauss_seidel.sweep import (
 from fibercontact.gauss_seidel.visit_log import VisitLog, check_log, no_log
 from fibercontact.local.contract import Status
 from fibercontact.local.registry import Configured
+from fibercontact.problem.cone import COULOMB
 from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.problem.measure import relative
 
-__all__ = ["GaussSeidel", "Outcome", "Run", "Visits"]
+__all__ = ["LOOPS", "GaussSeidel", "Outcome", "Run", "Visits"]
 
 Array = NDArray[np.float64]
+
+_ACCELERATION = Acceleration()
+
+LOOPS: dict[str, dict[str, Any]] = {
+    "plain": {"proximal": 0.0, "acceleration": None, "rescue_after": 0},
+    "accelerated": {"proximal": 0.05, "acceleration": _ACCELERATION, "rescue_after": 0},
+    "robust": {"proximal": 0.05, "acceleration": _ACCELERATION, "rescue_after": 1000},
+}
+"""The outer loops by name, as settings of `GaussSeidel`; `robust` is its default."""
+
+LARGEST_RESCUE = 10_000
+"""Contacts above which the interior-point method's factors may not fit into memory."""
 
 SLICE_SECONDS = 0.05
 """The clock is looked at about this often: between slices of sweeps."""
@@ -95,6 +109,8 @@ class Run:
     seconds: float
     visits: Visits
     history: Array = field(default_factory=lambda: np.empty(0))
+    rescue: int = 0
+    """Iterations of the interior-point method, 0 where the sweeps did not need it."""
 
     @property
     def claimed(self) -> bool:
@@ -109,6 +125,8 @@ class GaussSeidel:
     `proximal` is the c of the term `c sigma_i I` renewed at each visit (0: none); `acceleration`, when given,
     extrapolates every few sweeps. `negligible` is the change of `sigma_i r_i`, as a share of the tolerance,
     below which a contact is left as it is. `check_every` sweeps pass between two evaluations of the residual.
+    Under Coulomb's law a run that has not ended after `rescue_after` sweeps (0: never) goes on from the impulses of
+    the interior-point method, if they are better. `LOOPS` has the settings of the loops that have a name.
     A run in which every local solve succeeds and whose residual, looked at every 100 sweeps, has found no new
     minimum for 500 is cycling: a proximal term of 0.05 is then put in force. Local failures are not cured so.
     """
@@ -118,9 +136,10 @@ class GaussSeidel:
     max_sweeps: int = 5000
     max_seconds: float = 30.0
     check_every: int = 5
-    proximal: float = 0.0
-    acceleration: Acceleration | None = None
+    proximal: float = 0.05
+    acceleration: Acceleration | None = _ACCELERATION
     negligible: float = 0.01
+    rescue_after: int = 1000
 
     def solve(self, problem: IncrementalProblem, start: Array | None = None, history: bool = False) -> Run:
         """Solve from `start` (3n,), zero by default. The same input gives the same answer, bit for bit.
@@ -158,15 +177,42 @@ class GaussSeidel:
             scale_impulse(system, r, memory.x)
         guard = new_guard(self.proximal)
         loop: Any = (kernel, options, system, how, memory, guard, r, u, best_r, counts, log or no_log(), past)
-        done, reached, elapsed, slice_ = 0, best <= how.target, 0.0, self.check_every
+        rescue_at = self.rescue_after if how.facets == COULOMB and len(system.mu) <= LARGEST_RESCUE else 0
+        done, reached, elapsed, slice_, rescue = 0, best <= how.target, 0.0, self.check_every, 0
         while not reached and math.isfinite(best) and done < self.max_sweeps and elapsed < self.max_seconds:
-            done, best, reached = run_sweeps(*loop, best, done, min(self.max_sweeps, done + slice_))
+            end = rescue_at if done < rescue_at else self.max_sweeps
+            done, best, reached = run_sweeps(*loop, best, done, min(self.max_sweeps, end, done + slice_))
+            if done == rescue_at and not reached and math.isfinite(best):
+                rescue, best = self._rescue(system, b_ref, memory, r, u, best_r, best, began)
             elapsed = time.perf_counter() - began
             slice_ = self._slice(done, elapsed)
         past = past[: done + 1] / (b_ref or 1.0) if history else past
         outcome = _outcome(reached, best, done >= self.max_sweeps)
         residual = relative(best, b_ref)
-        return Run(best_r, outcome, residual, done, elapsed, Visits.from_counts(counts), past)
+        return Run(best_r, outcome, residual, done, elapsed, Visits.from_counts(counts), past, rescue)
+
+    def _rescue(
+        self,
+        system: BlockSystem,
+        b_ref: float,
+        memory: Memory,
+        r: Array,
+        u: Array,
+        best_r: Array,
+        best: float,
+        began: float,
+    ) -> tuple[int, float]:
+        """Go on from the interior-point method's impulses, if they are better than the best so far."""
+        target = 0.1 * self.tolerance * (b_ref or 1.0)
+        run = interior_point(system, b_ref or 1.0, target, deadline=began + self.max_seconds)
+        if run.residual < best:
+            best = run.residual
+            best_r[:] = r[:] = run.r
+            velocity(system, r, u)
+            if self.acceleration:
+                forget(memory)
+                scale_impulse(system, r, memory.x)
+        return run.iterations, best
 
     def _sweeper(self, b_ref: float) -> Sweeper:
         target = self.tolerance * (b_ref or 1.0)

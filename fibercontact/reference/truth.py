@@ -103,6 +103,7 @@ def polish(
         max_seconds=max_seconds,
         proximal=0.1,
         acceleration=Acceleration(sweeps=10, window=20),
+        rescue_after=0,
     )
     run = loop.solve(problem, start)
     return run.r, f"{run.sweeps} sweeps, {run.outcome.sentence}"

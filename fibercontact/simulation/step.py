@@ -12,8 +12,7 @@ from fibercontact.contact.assemble import ContactSystem, assemble, obstacle_drif
 from fibercontact.contact.detect import Contacts, detect
 from fibercontact.contact.obstacles import Obstacle
 from fibercontact.errors import UserError
-from fibercontact.gauss_seidel.anderson import Acceleration
-from fibercontact.gauss_seidel.solver import GaussSeidel, Run
+from fibercontact.gauss_seidel.solver import LOOPS, GaussSeidel, Run
 from fibercontact.local.registry import configure, registered
 from fibercontact.problem.constrained import ConstrainedStep
 from fibercontact.problem.step import StepProblem
@@ -83,8 +82,7 @@ def simulate(
         configure("secular", registered()),
         tolerance=scene.tolerance,
         max_sweeps=scene.max_sweeps,
-        proximal=0.05,
-        acceleration=Acceleration(),
+        **LOOPS["accelerated"],
     )
     world = world or start(scene)
     for index in range(first, scene.steps):

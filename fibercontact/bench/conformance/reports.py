@@ -15,7 +15,7 @@ from fibercontact.bench.contact_verdict import judge
 from fibercontact.bench.passes import lay_out
 from fibercontact.bench.problem_set import find_set
 from fibercontact.bench.protocol import ACCURACIES, BenchError
-from fibercontact.gauss_seidel.solver import GaussSeidel
+from fibercontact.gauss_seidel.solver import LOOPS, GaussSeidel
 from fibercontact.local.one_contact import OneContacts, Replay, replay
 from fibercontact.local.registry import Configured, configure, registered
 from fibercontact.problem.fclib import read
@@ -101,7 +101,9 @@ NOT_SOLVED = "not solved"
 def _sweeps(local: Configured, problem: IncrementalProblem) -> str:
     """Sweeps to low accuracy, by the harness's measure."""
     tolerance = ACCURACIES["low"]
-    run = GaussSeidel(local, tolerance, max_seconds=RUN_SECONDS, check_every=1).solve(problem)
+    run = GaussSeidel(local, tolerance, max_seconds=RUN_SECONDS, check_every=1, **LOOPS["plain"]).solve(
+        problem
+    )
     solved = measure(problem, run.r, local.facets).residual <= tolerance
     return str(run.sweeps) if solved else NOT_SOLVED
 

@@ -1,0 +1,121 @@
+"""Which outer loop solves what to 1e-8, and at what cost: plain, accelerated and robust Gauss–Seidel.
+
+Every problem of a set (and of other folders of FCLIB files) and synthetic strands of 200 to 5000 contacts are solved
+by `secular` with each loop, one after the other on the same problem. Plain sweeps to 1e-4 are the measure of cost.
+Writes one row a run and a figure, and prints a summary: solved, median and total processor time, and the median over
+the problems of the time over that of plain sweeps to 1e-4.
+
+    python experiments/outer_loops.py [--set core306] [--also FOLDER] [--limit N] [--out results/outer_loops]
+"""
+
+import argparse
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from sweep_cost import strands
+
+from fibercontact.bench.figures import COLOURS, save
+from fibercontact.bench.problem_set import find_set, limited, load_set
+from fibercontact.gauss_seidel.solver import LOOPS, GaussSeidel
+from fibercontact.local.registry import configure, registered
+from fibercontact.problem.fclib import read
+from fibercontact.problem.incremental import IncrementalProblem
+from fibercontact.problem.measure import measure
+
+ASKED = (("plain", 1e-4), ("plain", 1e-8), ("accelerated", 1e-8), ("robust", 1e-8))
+SWEEPS, SECONDS = 20_000, 60.0
+SYNTHETIC = ((200, 0.3, 2), (200, 1.0, 2), (1000, 0.3, 3), (1000, 1.0, 3), (5000, 0.3, 4), (5000, 1.0, 4))
+
+
+def problems(given: argparse.Namespace) -> Iterator[tuple[str, str, IncrementalProblem]]:
+    """Set, name and problem."""
+    for folder in (find_set(given.set), *given.also):
+        for entry in limited(load_set(folder), given.limit):
+            problem = read(entry.file).problem
+            whole = problem if isinstance(problem, IncrementalProblem) else problem.condense()
+            yield folder.name, entry.name, whole
+    for n, mu, seed in SYNTHETIC[: given.limit]:
+        yield "strands", f"strands-{n}-mu{mu:g}", strands(n, mu, seed)
+
+
+def solve(problem: IncrementalProblem, loop: str, tolerance: float) -> dict[str, object]:
+    """One run, judged by the measure."""
+    solver = GaussSeidel(configure("secular", registered()), tolerance, SWEEPS, SECONDS, **LOOPS[loop])
+    began = time.process_time()
+    run = solver.solve(problem)
+    seconds = time.process_time() - began
+    residual = measure(problem, run.r).residual
+    return {
+        "loop": loop, "tolerance": tolerance, "solved": residual <= tolerance, "residual": residual,
+        "sweeps": run.sweeps, "rescue": run.rescue, "seconds": seconds,
+    }  # fmt: skip
+
+
+def summary(rows: pd.DataFrame) -> pd.DataFrame:
+    """One line a set, loop and tolerance."""
+    unit = rows[(rows.loop == "plain") & (rows.tolerance == 1e-4)].set_index("problem").seconds
+    rows = rows.assign(ratio=rows.seconds / rows.problem.map(unit), rescued=rows.rescue > 0)
+    groups = rows.groupby(["set", "loop", "tolerance"], sort=False)
+    return groups.agg(
+        problems=("problem", "size"),
+        solved=("solved", "sum"),
+        rescued=("rescued", "sum"),
+        median_ms=("seconds", lambda s: 1e3 * s.median()),
+        total_s=("seconds", "sum"),
+        median_ratio=("ratio", "median"),
+    ).reset_index()
+
+
+def draw(rows: pd.DataFrame) -> Figure:
+    """Share of the problems solved within a time."""
+    figure = Figure(figsize=(6.0, 4.0), layout="constrained")
+    axes = figure.add_subplot()
+    count = rows.problem.nunique()
+    for (loop, tolerance), line in rows.groupby(["loop", "tolerance"], sort=False):
+        times = np.sort(line.seconds[line.solved])
+        colour = COLOURS[1 + ["plain", "accelerated", "robust"].index(loop)]
+        style = "--" if tolerance == 1e-4 else "-"
+        axes.step(times, 100 * np.arange(1, len(times) + 1) / count, style, where="post", color=colour,
+                  label=f"{loop}, to {tolerance:.0e}")  # fmt: skip
+    axes.set_xscale("log")
+    axes.set_xlabel("processor time (s)")
+    axes.set_ylabel("problems solved (%)")
+    axes.set_ylim(0, 101)
+    axes.grid(which="major", color="0.9")
+    axes.legend(fontsize=8)
+    return figure
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--set", default="core306")
+    parser.add_argument("--also", type=Path, action="append", default=[], help="other folders of FCLIB files")
+    parser.add_argument("--limit", type=int, help="problems of each set; all by default")
+    parser.add_argument("--out", type=Path, default=Path("results/outer_loops"))
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    found: list[dict[str, object]] = []
+    for source, name, problem in problems(given):
+        solve(problem, "robust", 1e-1) if not found else None  # compiles
+        for loop, tolerance in ASKED:
+            found.append(
+                {"set": source, "problem": name, "contacts": problem.n} | solve(problem, loop, tolerance)
+            )
+    rows = pd.DataFrame(found)
+    rows.to_csv(given.out / "rows.csv", index=False, float_format="%.4g")
+    table = summary(rows)
+    table.to_csv(given.out / "summary.csv", index=False, float_format="%.4g")
+    print(table.to_string(index=False, float_format="{:.4g}".format))
+    lost = rows[(rows.loop == "robust") & ~rows.solved]
+    print("not solved by the robust loop:", ", ".join(lost.problem) or "none")
+    save(draw(rows), given.out, "time")
+
+
+if __name__ == "__main__":
+    main()
