@@ -76,7 +76,7 @@ class _Scaling(NamedTuple):
 
 
 def interior_point(
-    system: BlockSystem, b_ref: float, tolerance: float, max_iterations: int = 100, deadline: float = np.inf
+    system: BlockSystem, b_ref: float, tolerance: float, max_iterations: int = 250, deadline: float = np.inf
 ) -> InteriorRun:
     """Solve by Coulomb's law until the residual is `tolerance`, in the unit of b, or no progress is made.
 
