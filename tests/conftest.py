@@ -1,8 +1,11 @@
-"""Settings shared by the tests: Hypothesis profiles, and the folder of the oracles on the path."""
+"""Settings shared by the tests: Hypothesis profiles, threads, and the folder of the oracles on the path."""
 
 import os
 import sys
 from pathlib import Path
+
+# The tests run side by side: threads of linear algebra would only be in each other's way. Read when numpy loads.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numba
 from hypothesis import settings
