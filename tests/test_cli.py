@@ -153,7 +153,10 @@ def test_the_input_is_never_overwritten(file):
         (["--solver", "pyramid:facets=2"], "'facets' must be an integer >= 3"),
         (["--solver", "pac", "--accuracy", "best"], "unknown accuracy 'best' (known: low, mid, high, full)"),
         (["--solver", "pac", "--start", "warm"], "unknown start 'warm' (known: cold, guess)"),
-        (["--solver", "pac", "--outer", "fast"], "unknown outer loop 'fast' (known: plain, accelerated, robust)"),
+        (
+            ["--solver", "pac", "--outer", "fast"],
+            "unknown outer loop 'fast' (known: plain, accelerated, robust)",
+        ),
         (["--solver", "pac", "--plugin", "nowhere.py"], "nowhere.py: no such file"),
         (["--solver", "pac", "--out", "no/such/folder/a.hdf5"], "no such folder"),
     ],
