@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from rods.cases import POISSON, RADIUS, Case
+from rods.cases import POISSON, RADIUS, Case, follow
 from rods.discrete import DiscreteRod
 from scipy.linalg import eigh
 
@@ -102,20 +102,14 @@ class CurvatureRod:
             natural = Case(path[0].curvature)
             rods = self._rods(elements, natural)
             start = Balance(rods, rest_state(rods), natural)
-        for case in path:
-            start = self._reach(case, elements, start)
-            yield start
 
-    def _reach(self, case: Case, elements: int, start: Balance, depth: int = 0) -> Balance:
-        """Newton's method from the equilibrium `start`, by way of the middle when it fails."""
-        rods = self._rods(elements, case)
-        state = _newton(rods, start.state, case)
-        if state is not None:
-            return Balance(rods, state, case)
-        if depth == 8:
-            raise RuntimeError(f"no equilibrium of {case} was found")
-        middle = start.case.halfway(case)
-        return self._reach(case, elements, self._reach(middle, elements, start, depth + 1), depth + 1)
+        def near(case: Case, other: Balance) -> Balance | None:
+            """Newton's method from another equilibrium."""
+            rods = self._rods(elements, case)
+            state = _newton(rods, other.state, case)
+            return None if state is None else Balance(rods, state, case)
+
+        return follow(path, start, near)
 
     def bending_frequency(self, elements: int) -> float:
         rods = self._rods(elements, Case())
