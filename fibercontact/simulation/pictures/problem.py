@@ -4,6 +4,7 @@ Four panels: how the contacts act on each other, how strong the normal impulses 
 their friction discs, and Coulomb's law itself, which an answer is to lie on.
 """
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -148,6 +149,9 @@ def _law(axes: Axes, a: Answered) -> None:
         axes.plot(speed[mine], share[mine], "o", color=REGIMES[kind].colour, markersize=4, alpha=0.7,
                   markeredgewidth=0)  # fmt: skip
     axes.set_xscale("symlog", linthresh=least, linscale=1.0)
+    axes.set_xticks(
+        [0.0, *10.0 ** np.arange(math.ceil(math.log10(least)), math.floor(math.log10(2.0 * end)) + 1)]
+    )
     axes.set_xlim(-0.2 * least, 2.0 * end)
     axes.set_ylim(-0.05, 1.1)
     axes.set_xlabel("‖u_T‖ (m/s), to scale below residual times b")
