@@ -12,8 +12,8 @@ import argparse
 import numpy as np
 from scipy.sparse import block_diag, csr_array
 
+from fibercontact.gauss_seidel.blocks import block_system
 from fibercontact.gauss_seidel.solver import LOOPS, GaussSeidel
-from fibercontact.gauss_seidel.sweep import block_system
 from fibercontact.local.registry import configure, registered
 from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.problem.step import StepProblem

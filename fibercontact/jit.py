@@ -17,7 +17,7 @@ from typing import Any
 import numba
 from numba.core import config
 
-__all__ = ["KERNEL_ROOMS", "cache_folder", "content_key", "jit", "jit_inline"]
+__all__ = ["KERNEL_ROOMS", "cache_folder", "content_key", "jit", "jit_inline", "jit_sum"]
 
 KERNEL_ROOMS = ("rods", "contact", "problem", "local", "gauss_seidel")
 """Rooms with kernels. A module imports only from rooms before its own, so no kernel depends on the others."""
@@ -75,6 +75,11 @@ def jit_inline(function: Callable[..., Any]) -> Any:
     A dispatcher passed by value would make its caller uncacheable; inlined, it is a direct call.
     """
     return numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")(function)
+
+
+def jit_sum(function: Callable[..., Any]) -> Any:
+    """Compile a function whose sums may be added up in any order, several at a time; NaN is still seen."""
+    return numba.njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract"})(function)
 
 
 _use_cache_folder()

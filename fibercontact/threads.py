@@ -1,16 +1,17 @@
-"""Threads over ranges of rods, segments or contacts.
+"""Threads over ranges of rods, segments or contacts, and threads that wait for each other.
 
 Kernels run without the interpreter's lock (see `jit`). What is done for a range depends on that range only, so the
 results are the same, bit for bit, for any number of threads.
 """
 
 import os
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import TypeVar
 
-__all__ = ["over_ranges", "thread_count"]
+__all__ = ["over_ranges", "thread_count", "together"]
 
 Result = TypeVar("Result")
 
@@ -41,3 +42,19 @@ def over_ranges(function: Callable[[int, int], Result], count: int, size: int) -
 def _pool(process: int, threads: int) -> ThreadPoolExecutor:
     """The threads of this process: a fork has none of its parent's."""
     return ThreadPoolExecutor(threads)
+
+
+def together(functions: Sequence[Callable[[], Result]]) -> list[Result]:
+    """Call the functions, each in a thread of its own so that they can wait for each other; the results in order."""
+    if len(functions) == 1:
+        return [functions[0]()]
+    results: dict[int, Result] = {}
+    threads = [
+        threading.Thread(target=lambda k=k, call=call: results.update({k: call()}), daemon=True)
+        for k, call in enumerate(functions)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return [results[k] for k in range(len(functions))]

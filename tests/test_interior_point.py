@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from scipy.sparse import eye_array
 
 from fibercontact.gauss_seidel import interior_point as method
+from fibercontact.gauss_seidel.blocks import block_system
 from fibercontact.gauss_seidel.interior_point import interior_point
 from fibercontact.gauss_seidel.solver import LARGEST_RESCUE, LOOPS, GaussSeidel, Outcome
-from fibercontact.gauss_seidel.sweep import block_system
 from fibercontact.local.registry import configure, registered
 from fibercontact.problem.fclib import read
 from fibercontact.problem.incremental import IncrementalProblem

@@ -19,8 +19,8 @@ from scipy.sparse import csr_array
 
 from fibercontact.bench.protocol import ACCURACIES, OUTERS, BenchError, Limits
 from fibercontact.bench.visits import SAMPLE, VisitRecord, record_of, write_log
+from fibercontact.gauss_seidel.blocks import BlockSystem, block_system
 from fibercontact.gauss_seidel.solver import LOOPS, GaussSeidel, Outcome, Run, Visits
-from fibercontact.gauss_seidel.sweep import BlockSystem, block_system
 from fibercontact.gauss_seidel.visit_log import new_log
 from fibercontact.local.contract import Status
 from fibercontact.local.registry import Configured, configure, registered

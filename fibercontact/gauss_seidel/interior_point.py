@@ -23,10 +23,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csc_array
+from scipy.sparse import bsr_array, csc_array, csr_array
 from scipy.sparse.linalg import splu
 
-from fibercontact.gauss_seidel.sweep import BlockSystem, residual_from, velocity
+from fibercontact.gauss_seidel.blocks import BlockSystem, residual_from, velocity
 from fibercontact.problem.cone import COULOMB
 
 __all__ = ["InteriorRun", "interior_point"]
@@ -106,23 +106,15 @@ def _in_cones(system: BlockSystem, b_ref: float) -> _Cones:
     n, slides = len(system.mu), system.mu > 0.0
     s, unit = np.sqrt(system.sigma), b_ref / np.sqrt(np.mean(system.sigma))
     kept = np.column_stack([1.0 / np.where(slides, system.mu, 1.0), slides, slides]) / s[:, None]
-    row, indices, indptr = _scalar_rows(system)
+    blocks = np.reshape(system.blocks[: 9 * len(system.columns)], (-1, 3, 3))
+    W = csr_array(bsr_array((blocks, system.columns, system.starts), shape=2 * (3 * n,)))
+    row, indices, indptr = np.repeat(np.arange(3 * n), np.diff(W.indptr)), W.indices, W.indptr
     factor = np.ravel(kept)
-    data = system.rows * factor[row] * factor[indices]
+    data = W.data * factor[row] * factor[indices]
     diagonal = np.flatnonzero(row // 3 == indices // 3).reshape(n, 3, 3)
     data[diagonal[:, [0, 1, 2], [0, 1, 2]]] += REGULARISATION
     A = csc_array((data, indices, indptr), shape=(3 * n, 3 * n))
     return _Cones(A, diagonal, kept * np.reshape(system.b, (n, 3)) / unit, kept * unit)
-
-
-def _scalar_rows(system: BlockSystem) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int32]]:
-    """Row and column of every number in `system.rows`, and where the rows start."""
-    width = np.repeat(3 * np.diff(system.starts), 3)
-    indptr = np.concatenate([[0], np.cumsum(width)]).astype(np.int32)
-    row = np.repeat(np.arange(len(width)), width)
-    columns = np.ravel(3 * system.columns[:, None] + np.arange(3, dtype=np.int32))
-    place = np.arange(len(row)) - indptr[row] + 3 * system.starts[row // 3]
-    return row, columns[place], indptr
 
 
 def _start(cones: _Cones) -> tuple[Array, Array]:

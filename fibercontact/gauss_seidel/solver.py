@@ -4,28 +4,35 @@ import math
 import time
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba.core import config
 from numpy.typing import NDArray
 
 from fibercontact.gauss_seidel.anderson import Acceleration, Memory, forget, no_memory
+from fibercontact.gauss_seidel.blocks import BlockSystem, block_system, write_velocity
 from fibercontact.gauss_seidel.interior_point import interior_point
-from fibercontact.gauss_seidel.loop import compile_loop, new_guard, run_sweeps, scale_impulse
-from fibercontact.gauss_seidel.sweep import (
-    COUNTERS,
-    BlockSystem,
-    Sweeper,
-    block_system,
-    residual_from,
-    velocity,
+from fibercontact.gauss_seidel.loop import (
+    State,
+    compile_loop,
+    new_guard,
+    new_state,
+    residual_of,
+    run_sweeps,
+    scale_impulse,
 )
+from fibercontact.gauss_seidel.parts import Parts, undivided
+from fibercontact.gauss_seidel.sweep import COUNTERS, Sweeper
+from fibercontact.gauss_seidel.team import Team, alone, gather
 from fibercontact.gauss_seidel.visit_log import VisitLog, check_log, no_log
 from fibercontact.local.contract import Status
 from fibercontact.local.registry import Configured
 from fibercontact.problem.cone import COULOMB
 from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.problem.measure import relative
+from fibercontact.threads import thread_count, together
 
 __all__ = ["LOOPS", "GaussSeidel", "Outcome", "Run", "Visits"]
 
@@ -68,13 +75,15 @@ class Outcome(IntEnum):
 
 @dataclass(frozen=True)
 class Visits:
-    """What happened at the local solves of a run."""
+    """What happened at the visits of a run: statuses of the local solves, regimes of all."""
 
     by_status: dict[Status, int]
     open: int
     stick: int
     slip: int
     iterations: int
+    left_out: int = 0
+    """Visits at which the local solver was not asked, since its answer was known to be the impulse of before."""
 
     @property
     def failures(self) -> int:
@@ -83,8 +92,8 @@ class Visits:
 
     @property
     def total(self) -> int:
-        """All local solves."""
-        return sum(self.by_status.values())
+        """All visits."""
+        return sum(self.by_status.values()) + self.left_out
 
     @classmethod
     def from_counts(cls, counts: NDArray[np.int64]) -> "Visits":
@@ -116,6 +125,15 @@ class Run:
     def claimed(self) -> bool:
         """Whether the solver says that it met the tolerance."""
         return self.outcome == Outcome.CONVERGED
+
+
+class _Member(NamedTuple):
+    """What a thread of a run has for its own."""
+
+    team: Team
+    memory: Memory
+    guard: Array
+    visits: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -165,40 +183,55 @@ class GaussSeidel:
         compile_loop()
         kernel, options = self.local.kernel(), self.local.options
         began = time.perf_counter()
-        how = self._sweeper(b_ref)
-        r = _start(start, len(system.b))
-        u, counts = np.empty_like(r), np.zeros(COUNTERS, dtype=np.int64)
-        velocity(system, r, u)
-        best, best_r = residual_from(system, r, u, how.facets), r.copy()
+        how, parts = self._sweeper(b_ref), self._parts(system)
+        threads = 1 if log is not None else _threads(parts)
+        state = new_state(system, parts, _start(start, len(system.b)), self._window, threads)
+        best = residual_of(system, state, how.facets, alone())
         past = np.full(self.max_sweeps + 1 if history else 0, np.nan)
         past[:1] = best
-        memory = self.acceleration.memory(len(r)) if self.acceleration else no_memory()
-        if self.acceleration:
-            scale_impulse(system, r, memory.x)
-        guard = new_guard(self.proximal)
-        loop: Any = (kernel, options, system, how, memory, guard, r, u, best_r, counts, log or no_log(), past)
+        members = self._members(system, state, threads)
+        rest = (log or no_log(), past)
         rescue_at = self.rescue_after if how.facets == COULOMB and len(system.mu) <= LARGEST_RESCUE else 0
         done, reached, elapsed, slice_, rescue = 0, best <= how.target, 0.0, self.check_every, 0
         while not reached and math.isfinite(best) and done < self.max_sweeps and elapsed < self.max_seconds:
-            end = rescue_at if done < rescue_at else self.max_sweeps
-            done, best, reached = run_sweeps(*loop, best, done, min(self.max_sweeps, end, done + slice_))
+            end = min(self.max_sweeps, rescue_at if done < rescue_at else self.max_sweeps, done + slice_)
+            sweeps = partial(run_sweeps, kernel, options, system, how, state)
+            calls = [partial(sweeps, *member, *rest, best, done, end) for member in members]
+            done, best, reached = together(calls)[0]
             if done == rescue_at and not reached and math.isfinite(best):
-                rescue, best = self._rescue(system, b_ref, memory, r, u, best_r, best, began)
+                rescue, best = self._rescue(system, b_ref, state, members, best, began)
             elapsed = time.perf_counter() - began
             slice_ = self._slice(done, elapsed)
         past = past[: done + 1] / (b_ref or 1.0) if history else past
         outcome = _outcome(reached, best, done >= self.max_sweeps)
         residual = relative(best, b_ref)
-        return Run(best_r, outcome, residual, done, elapsed, Visits.from_counts(counts), past, rescue)
+        visits = Visits.from_counts(np.sum([member.visits for member in members], axis=0))
+        return Run(state.best_r, outcome, residual, done, elapsed, visits, past, rescue)
+
+    def _parts(self, system: BlockSystem) -> Parts:
+        """Plain sweeps are the textbook's: contact by contact, in the order of the problem."""
+        return system.parts if self.acceleration else undivided(system.columns, len(system.mu))
+
+    @property
+    def _window(self) -> int:
+        return self.acceleration.window if self.acceleration else 0
+
+    def _members(self, system: BlockSystem, state: State, threads: int) -> "list[_Member]":
+        """What each thread of a run has for its own."""
+        memory = self.acceleration.memory(len(state.r)) if self.acceleration else no_memory()
+        if self.acceleration:
+            scale_impulse(system, state.r, 0, len(system.mu), memory.x)
+        return [
+            _Member(team, memory.own(), new_guard(self.proximal), np.zeros(COUNTERS, dtype=np.int64))
+            for team in gather(threads)
+        ]
 
     def _rescue(
         self,
         system: BlockSystem,
         b_ref: float,
-        memory: Memory,
-        r: Array,
-        u: Array,
-        best_r: Array,
+        state: State,
+        members: "list[_Member]",
         best: float,
         began: float,
     ) -> tuple[int, float]:
@@ -207,11 +240,12 @@ class GaussSeidel:
         run = interior_point(system, b_ref or 1.0, target, deadline=began + self.max_seconds)
         if run.residual < best:
             best = run.residual
-            best_r[:] = r[:] = run.r
-            velocity(system, r, u)
-            if self.acceleration:
-                forget(memory)
-                scale_impulse(system, r, memory.x)
+            state.best_r[:] = state.r[:] = run.r
+            write_velocity(system, state.parts, state.r, alone(), state.u)
+            state.still[:] = np.inf
+            for member in members if self.acceleration else ():
+                forget(member.memory)
+                scale_impulse(system, state.r, 0, len(system.mu), member.memory.x)
         return run.iterations, best
 
     def _sweeper(self, b_ref: float) -> Sweeper:
@@ -226,12 +260,18 @@ class GaussSeidel:
             self.check_every,
             period,
             tikhonov,
+            self.acceleration is None,
         )
 
     def _slice(self, done: int, elapsed: float) -> int:
         """Sweeps until the next look at the clock, a whole number of checks and of maps."""
         step = self.check_every * (self.acceleration.sweeps if self.acceleration else 1)
         return step * max(1, int(done * SLICE_SECONDS / max(elapsed, 1e-9)) // step)
+
+
+def _threads(parts: Parts) -> int:
+    """Threads that sweep a problem together: no more than there are leaves."""
+    return 1 if config.DISABLE_JIT else min(thread_count(), int(parts.phases[1]))
 
 
 def _outcome(reached: bool, best: float, exhausted: bool) -> Outcome:

@@ -22,7 +22,8 @@ from fibercontact.problem.cone import Vector
 
 __all__ = [
     "BY_SWEEP", "CURED", "FAILED", "RECENT", "SEEN", "SWEEPS", "SWITCHES", "VISIT", "VisitLog", "check_log",
-    "end_sweep", "new_log", "no_log", "recent_impulses", "record", "samples",
+    "end_sweep", "new_log", "no_log", "recent_impulses", "record", "record_left_out",
+    "samples",
 ]  # fmt: skip
 
 RECENT = 64
@@ -154,6 +155,14 @@ def record(log: VisitLog, i: int, status: int, iterations: int, regime: int, W: 
         log.state[FAILED] += 1
         if slot >= 0:
             store(log.failures, slot, head, W, b, mu, old, new)
+
+
+@jit_inline
+def record_left_out(log: VisitLog, regime: int) -> None:
+    """Record that a contact stays in its regime without a local solve: it counts in `by_sweep` alone."""
+    sweep = log.state[SWEEPS]
+    if sweep < len(log.by_sweep):
+        log.by_sweep[sweep, regime] += 1
 
 
 @jit

@@ -8,6 +8,8 @@ from fibercontact.local.contract import Matrix
 from fibercontact.problem.cone import COULOMB, Vector, natural_map, norm
 
 __all__ = [
+    "FRICTIONLESS",
+    "GRAZING",
     "LARGEST",
     "OPEN",
     "SHIFT",

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fibercontact.gauss_seidel.anderson import Acceleration, Memory, extrapolate, remember
+from fibercontact.gauss_seidel.anderson import Acceleration, Memory, extrapolate
 from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.problem.measure import measure
 from fibercontact.reference.conic import Form, Problem, condensed, default_form
@@ -98,6 +98,5 @@ def _next(s: Array, slip: Array, residual: float, stage: Stage, memory: Memory) 
     if stage.window == 0:
         return (1.0 - stage.theta) * s + stage.theta * slip
     memory.x[:] = s
-    remember(memory, slip, residual)
-    extrapolate(memory, Acceleration.tikhonov)
+    extrapolate(memory, slip, residual, Acceleration.tikhonov)
     return np.maximum(memory.x, 0.0)

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from fibercontact.jit import jit
 from fibercontact.local.algebra import (
+    FRICTIONLESS,
+    GRAZING,
     SHIFT,
     SINGULAR,
     SLIP,
@@ -30,12 +32,22 @@ from fibercontact.local.algebra import (
 )
 from fibercontact.local.contract import HONEST, LocalSolver, Matrix, Option, Status
 from fibercontact.local.slip_refinement import on_cone, refine_slip
-from fibercontact.problem.cone import Vector, norm
+from fibercontact.problem.cone import Vector
 
 __all__ = ["solver"]
 
 LARGE = 1e4
 """Impulse, relative to b in velocity units, from which rounding may have spoilt it."""
+NEAR = 1e-3
+"""`|phi|` relative to `mu r_N` below which a short Newton step means that the root is near."""
+CLEARLY = 1.0 + 1e-9
+"""Ratio of `|r_T|²` to `mu² r_N²` at alpha = 0 above which rounding cannot hide a stick."""
+
+
+@jit
+def dot(x: Vector, y: Vector) -> float:
+    """`x·y`."""
+    return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
 
 
 @jit
@@ -83,6 +95,16 @@ def polynomials(t: Tangential, mu: float) -> Polynomials:
 
 
 @jit
+def clearly_slips(t: Tangential, p: Polynomials) -> bool:
+    """Whether stick is excluded by a margin, which the polynomials at 0 tell without a division.
+
+    They say nothing where `W̄` is singular.
+    """
+    regular = t.det * t.W_NN > SINGULAR * (t.trace * t.W_NN + t.w1 * t.w1 + t.w2 * t.w2) * abs(t.trace)
+    return regular and (p.m0 >= 0.0 or p.q0 > CLEARLY * p.m0 * p.m0)
+
+
+@jit
 def newton_step(p: Polynomials, alpha: float) -> tuple[float, float, float]:
     """`D phi` and `mu D r_N` at alpha, and Newton's next alpha for `psi = 1/|r_T| - 1/(mu r_N)`.
 
@@ -110,8 +132,8 @@ def bracket_end(t: Tangential, mu: float) -> float:
 def accepted(W: Matrix, b: Vector, mu: float, t: Tangential, alpha: float) -> tuple[int, Vector]:
     """The slip at the root; refined and judged when rounding may have spoilt it."""
     r = on_cone(slip_impulse(t, alpha), mu)
-    trace = W[0][0] + W[1][1] + W[2][2]
-    if alpha > SHIFT * (t.trace + t.W_NN) and trace * norm(r) < LARGE * norm(b):
+    limit = LARGE / (W[0][0] + W[1][1] + W[2][2])
+    if alpha > SHIFT * (t.trace + t.W_NN) and dot(r, r) < limit * limit * dot(b, b):
         return Status.CONVERGED, r
     residual, r = refine_slip(W, b, mu, t, r)
     return Status.CONVERGED if meets(W, b, mu, r, residual, HONEST) else Status.INACCURATE, r
@@ -125,11 +147,12 @@ def kernel(
     if not is_finite(W, b, mu):
         return Status.NOT_FINITE, r, 0
     t = eliminate_normal(W, b)
-    regime, stick = open_or_stick(t, b, mu)
-    if regime != SLIP:
-        return Status.CONVERGED, stick, 0
-    tolerance, budget = options[0], int(options[1])
     p = polynomials(t, mu)
+    if b[0] >= -GRAZING * (abs(b[1]) + abs(b[2])) or mu <= FRICTIONLESS or not clearly_slips(t, p):
+        regime, simple = open_or_stick(t, b, mu)
+        if regime != SLIP:
+            return Status.CONVERGED, simple, 0
+    tolerance, budget = options[0], int(options[1])
     low, high = 0.0, math.inf
     alpha = first_alpha(W, b, mu, r, t)
     for k in range(budget):
@@ -137,8 +160,11 @@ def kernel(
             high = min(high, bracket_end(t, mu))
             alpha = 0.5 * (low + high) if low > 0.0 else 1e-3 * high
         g, limit, newton = newton_step(p, alpha)
-        if abs(g) <= tolerance * limit or high - low <= 4e-16 * max(low, SINGULAR * t.trace):
-            status, r = accepted(W, b, mu, t, alpha)
+        step = newton - alpha
+        # Newton's error is of the step squared, but far from a root, where psi has a pole.
+        settled = step * step <= tolerance * alpha * alpha and abs(g) <= NEAR * limit
+        if settled or abs(g) <= tolerance * limit or high - low <= 4e-16 * max(low, SINGULAR * t.trace):
+            status, r = accepted(W, b, mu, t, newton if low < newton < high else alpha)
             return status, r, k + 1
         if g > 0.0:
             low = alpha

@@ -1,0 +1,148 @@
+"""Parts of a problem that can be swept at the same time, with the same answer for any number of threads.
+
+The contacts are bisected again and again: a few of them, the separator, are taken out so that no two contacts of the
+rest interact across the cut [George 1973]. A sweep visits the leaves of this tree first, then its separators from the
+deepest to the root; parts of one such phase do not interact, so the order of visits is that of one Gauss–Seidel
+sweep. Where two parts of a phase push the same contact, each has a slot of its own for it, and the slots are added up
+in order when the phase is over.
+
+References: George, Nested dissection of a regular finite element mesh, SIAM J. Numer. Anal. 10, 1973; Cuthill and
+McKee, Proc. 24th ACM National Conference, 1969, for the order in which contacts are cut.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+from fibercontact.jit import jit
+
+__all__ = ["Parts", "divide", "undivided"]
+
+Index = NDArray[np.int32]
+
+LEAF = 2048
+"""Contacts of a leaf, about."""
+SMALLEST = 3000
+"""Contacts from which a problem is divided: below, threads cost more than they save."""
+
+
+class Parts(NamedTuple):
+    """The order of a sweep, in phases of parts."""
+
+    order: Index  # (n,) contacts in the order of their visits
+    parts: Index  # (parts+1,) first visit of each part
+    phases: Index  # (phases+1,) first part of each phase
+    targets: Index  # (blocks,) where the push of each block goes: to its column, or to n + a slot
+    slots: Index  # (slots,) contact that each slot is for, slots of a phase together
+    flushes: Index  # (phases+1,) first slot of each phase
+
+
+def undivided(columns: Index, n: int) -> Parts:
+    """All n contacts in one part, visited in order."""
+    none, one = np.zeros(0, np.int32), np.array([0, 1], np.int32)
+    return Parts(
+        np.arange(n, dtype=np.int32), np.array([0, n], np.int32), one, columns, none, np.zeros(2, np.int32)
+    )
+
+
+def divide(starts: Index, columns: Index) -> Parts:
+    """Divide the contacts of block rows `starts`, `columns`."""
+    n = len(starts) - 1
+    if n < SMALLEST:
+        return undivided(columns, n)
+    graph = csr_array((np.ones(len(columns), np.int8), columns, starts), shape=(n, n))
+    depth = max(1, int(np.log2(n / LEAF)))
+    levels: list[list[Index]] = [[] for _ in range(depth + 1)]
+    _bisect(graph, np.arange(n, dtype=np.int32), depth, levels)
+    parts = [part for level in levels for part in level]
+    order = np.concatenate(parts)
+    first_visits = np.cumsum([0, *map(len, parts)]).astype(np.int32)
+    phases = np.cumsum([0, *map(len, levels)]).astype(np.int32)
+    part_of = np.empty(n, np.int32)
+    part_of[order] = np.repeat(np.arange(len(parts), dtype=np.int32), np.diff(first_visits))
+    phase_of = np.searchsorted(phases, np.arange(len(parts)), side="right").astype(np.int32) - 1
+    return Parts(order, first_visits, phases, *_slots(starts, columns, part_of, phase_of))
+
+
+def _bisect(graph: csr_array, contacts: Index, depth: int, levels: list[list[Index]]) -> None:
+    """Add the leaves and separators of some contacts to their levels, leaves first."""
+    if depth == 0 or len(contacts) == 0:
+        levels[0].append(contacts)
+        return
+    inner = graph[contacts][:, contacts] if len(contacts) < graph.shape[0] else graph
+    order = reverse_cuthill_mckee(inner, symmetric_mode=True)
+    separator, side = _cut(inner, order)
+    for k in (0, 1):
+        _bisect(graph, contacts[np.sort(order[side == k])], depth - 1, levels)
+    levels[depth].append(contacts[np.sort(separator)])
+
+
+def _cut(graph: csr_array, order: Index) -> tuple[Index, NDArray[np.int8]]:
+    """The cut of an order that two threads are through with first; sides 0 and 1, 2 for the separator."""
+    n = len(order)
+    position = np.empty(n, np.int64)
+    position[order] = np.arange(n)
+    reach = np.zeros((2, n), np.int64)
+    _reach(graph.indptr, graph.indices, position, reach)
+    counts = np.zeros(
+        (2, n + 2), np.int64
+    )  # separators of a cut before position k, on its left and on its right
+    _count(reach, counts)
+    length = counts[:, : n + 1] + abs(
+        np.arange(n + 1) - n // 2
+    )  # of the longer side and the separator, but for n/2
+    on, cut = np.unravel_index(np.argmin(length), length.shape)
+    places = np.arange(n)
+    side = (places >= cut).astype(np.int8)
+    taken = (places < cut) & (reach[1] >= cut) if on == 0 else (places >= cut) & (reach[0] < cut)
+    side[taken] = 2
+    return order[taken], side
+
+
+@jit
+def _reach(indptr: Index, indices: Index, position: NDArray[np.int64], reach: NDArray[np.int64]) -> None:
+    """First and last position of each position's neighbours."""
+    for i in range(len(position)):
+        low = high = position[i]
+        for j in range(indptr[i], indptr[i + 1]):
+            p = position[indices[j]]
+            low, high = min(low, p), max(high, p)
+        reach[0, position[i]], reach[1, position[i]] = low, high
+
+
+@jit
+def _count(reach: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
+    """`counts[0, k]`: positions before k with a neighbour from k on; `counts[1, k]` the other way round."""
+    n = reach.shape[1]
+    for p in range(n):
+        counts[0, p + 1] += 1
+        counts[0, reach[1, p] + 1] -= 1
+        counts[1, reach[0, p] + 1] += 1
+        counts[1, p + 1] -= 1
+    for k in range(1, n + 2):
+        counts[0, k] += counts[0, k - 1]
+        counts[1, k] += counts[1, k - 1]
+
+
+def _slots(starts: Index, columns: Index, part_of: Index, phase_of: Index) -> tuple[Index, Index, Index]:
+    """Where each block's push goes, the contacts of the slots, and the first slot of each phase."""
+    n, parts = len(part_of), len(phase_of)
+    source = np.repeat(part_of, np.diff(starts))
+    across = np.flatnonzero(source != part_of[columns])
+    key = (phase_of[source[across]].astype(np.int64) * n + columns[across]) * parts + source[across]
+    found, which = np.unique(key, return_inverse=True)  # pushes of a part on a contact, phase by phase
+    meeting = found // parts
+    several = np.zeros(len(found), dtype=bool)
+    same = meeting[1:] == meeting[:-1]
+    several[1:], several[:-1] = same, several[:-1] | same
+    number = np.cumsum(several) - 1
+    targets = columns.astype(np.int32, copy=True)
+    slotted = several[which]
+    targets[across[slotted]] = n + number[which[slotted]]
+    kept = meeting[several]
+    phases = int(phase_of[-1]) + 1
+    flushes = np.searchsorted(kept // n, np.arange(phases + 1)).astype(np.int32)
+    return targets, (kept % n).astype(np.int32), flushes
