@@ -64,7 +64,7 @@ def sweeps_from_zero(problem, name, count, proximal=0.0):
     )._sweeper(problem.b_ref)
     parts = undivided(system.columns, problem.n)
     state = new_state(system, parts, np.zeros(3 * problem.n), 0, 1)
-    (member,) = gather(1)
+    (member,) = gather(1, np.zeros(1, np.int32))
     done, _, _ = run_sweeps(
         c.kernel(),
         c.options,

@@ -57,14 +57,22 @@ def flush(parts: Parts, phase: int, team: Team, u: Array) -> None:
     first, end = parts.flushes[phase], parts.flushes[phase + 1]
     if first == end:
         return
-    if team.rank == 0:
-        slots, n = parts.slots, len(parts.order)
-        for k in range(first, end):
-            at, slot = STRIDE * slots[k], STRIDE * (n + k)
-            for a in range(3):
-                u[at + a] += u[slot + a]
-                u[slot + a] = 0.0
+    slots, n = parts.slots, len(parts.order)
+    mine, others = share(end - first, team)
+    for k in range(_whole(slots, first, first + mine, end), _whole(slots, first, first + others, end)):
+        at, slot = STRIDE * slots[k], STRIDE * (n + k)
+        for a in range(3):
+            u[at + a] += u[slot + a]
+            u[slot + a] = 0.0
     wait(team)
+
+
+@jit
+def _whole(slots: NDArray[np.int32], first: int, k: int, end: int) -> int:
+    """Slot k of `first..end`, moved back to where the slots of its contact begin: a contact's are not shared out."""
+    while first < k < end and slots[k] == slots[k - 1]:
+        k -= 1
+    return k
 
 
 @jit
@@ -96,8 +104,9 @@ def write_velocity(s: BlockSystem, parts: Parts, r: Array, team: Team, u: Array)
         u[STRIDE * i], u[STRIDE * i + 1], u[STRIDE * i + 2] = b[3 * i], b[3 * i + 1], b[3 * i + 2]
     wait(team)
     for phase in range(len(parts.phases) - 1):
-        for part in range(parts.phases[phase] + team.rank, parts.phases[phase + 1], team.size):
-            push_impulses(s, parts.order, parts.targets, parts.parts[part], parts.parts[part + 1], r, u)
+        for part in range(parts.phases[phase], parts.phases[phase + 1]):
+            if team.owner[part] == team.rank:
+                push_impulses(s, parts.order, parts.targets, parts.parts[part], parts.parts[part + 1], r, u)
         flush(parts, phase, team, u)
 
 
@@ -124,7 +133,7 @@ def velocity(s: BlockSystem, r: Array, u: Array) -> None:
     """Write `W r + b` into `u` (3n,)."""
     n = len(s.mu)
     spread = np.zeros(STRIDE * (n + len(s.parts.slots)))
-    write_velocity(s, s.parts, r, alone(), spread)
+    write_velocity(s, s.parts, r, alone(len(s.parts.parts) - 1), spread)
     for i in range(n):
         for a in range(3):
             u[3 * i + a] = spread[STRIDE * i + a]

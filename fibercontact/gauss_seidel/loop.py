@@ -56,7 +56,7 @@ class State(NamedTuple):
 def new_state(s: BlockSystem, parts: Parts, r: Array, window: int, threads: int) -> State:
     """The state of a run that begins at the impulse `r`."""
     u = new_velocity(parts)
-    write_velocity(s, parts, r, alone(), u)
+    write_velocity(s, parts, r, alone(len(parts.parts) - 1), u)
     sums = np.zeros((int(parts.phases[1]), 3, max(1, window)))
     return State(parts, r, u, np.full_like(u, np.inf), r.copy(), sums, np.zeros(threads, dtype=np.int64))
 
@@ -212,7 +212,7 @@ _SIGNATURE = types.Tuple((_I, _F, types.boolean))(
     types.NamedTuple((_INDEX, _INDEX, _VECTOR, _MATRIX, *3 * (_VECTOR,), _PARTS), BlockSystem),
     types.NamedTuple((_I, _F, _F, _I, _I, _F, types.boolean), Sweeper),
     types.NamedTuple((_PARTS, *4 * (_VECTOR,), types.float64[:, :, ::1], _COUNTS), State),
-    types.NamedTuple((_I, _I, _COUNTS), Team),
+    types.NamedTuple((_I, _I, _COUNTS, _INDEX), Team),
     types.NamedTuple((_MATRIX, _MATRIX, *4 * (_VECTOR,), _MATRIX, _VECTOR), Memory),
     _VECTOR, _COUNTS,
     types.NamedTuple((_TABLE, _VECTOR, _TABLE, _MATRIX, _MATRIX, _MATRIX, _COUNTS), VisitLog),

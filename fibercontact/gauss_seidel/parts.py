@@ -1,15 +1,17 @@
 """Parts of a problem that can be swept at the same time, with the same answer for any number of threads.
 
 The contacts are bisected again and again: a few of them, the separator, are taken out so that no two contacts of the
-rest interact across the cut [George 1973]. A sweep visits the leaves of this tree first, then its separators from the
-deepest to the root; parts of one such phase do not interact, so the order of visits is that of one Gauss–Seidel
-sweep. Where two parts of a phase push the same contact, each has a slot of its own for it, and the slots are added up
-in order when the phase is over.
+rest interact across the cut [George 1973]; a long separator is divided like the whole. A sweep visits the leaves of
+this tree first, then its separators from the deepest to the root; parts of one such phase do not interact, so the
+order of visits is that of one Gauss–Seidel sweep. Where two parts of a phase push the same contact, each has a slot
+of its own for it, and the slots are added up in order when the phase is over.
 
 References: George, Nested dissection of a regular finite element mesh, SIAM J. Numer. Anal. 10, 1973; Cuthill and
-McKee, Proc. 24th ACM National Conference, 1969, for the order in which contacts are cut.
+McKee, Proc. 24th ACM National Conference, 1969, for the order in which contacts are cut; Graham, Bounds on
+multiprocessing timing anomalies, SIAM J. Appl. Math. 17, 1969, for who takes what.
 """
 
+from itertools import pairwise, zip_longest
 from typing import NamedTuple
 
 import numpy as np
@@ -19,12 +21,16 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from fibercontact.jit import jit
 
-__all__ = ["Parts", "divide", "undivided"]
+__all__ = ["Parts", "divide", "owners", "undivided"]
 
 Index = NDArray[np.int32]
 
 LEAF = 2048
 """Contacts of a leaf, about."""
+SHORTEST = 256
+"""Contacts of a separator from which it is bisected itself."""
+VISIT = 10
+"""Blocks whose push takes as long as to solve a contact."""
 SMALLEST = 3000
 """Contacts from which a problem is divided: below, threads cost more than they save."""
 
@@ -54,9 +60,8 @@ def divide(starts: Index, columns: Index) -> Parts:
     if n < SMALLEST:
         return undivided(columns, n)
     graph = csr_array((np.ones(len(columns), np.int8), columns, starts), shape=(n, n))
-    depth = max(1, int(np.log2(n / LEAF)))
-    levels: list[list[Index]] = [[] for _ in range(depth + 1)]
-    _bisect(graph, np.arange(n, dtype=np.int32), depth, levels)
+    work = np.diff(starts).astype(np.int64) + VISIT
+    levels = _bisect(graph, work, np.arange(n, dtype=np.int32), max(1, int(np.log2(n / LEAF))))
     parts = [part for level in levels for part in level]
     order = np.concatenate(parts)
     first_visits = np.cumsum([0, *map(len, parts)]).astype(np.int32)
@@ -67,39 +72,41 @@ def divide(starts: Index, columns: Index) -> Parts:
     return Parts(order, first_visits, phases, *_slots(starts, columns, part_of, phase_of))
 
 
-def _bisect(graph: csr_array, contacts: Index, depth: int, levels: list[list[Index]]) -> None:
-    """Add the leaves and separators of some contacts to their levels, leaves first."""
-    if depth == 0 or len(contacts) == 0:
-        levels[0].append(contacts)
-        return
+def _bisect(graph: csr_array, work: NDArray[np.int64], contacts: Index, depth: int) -> list[list[Index]]:
+    """The phases of some contacts: those of both sides of a cut, then those of the separator."""
+    if depth == 0 or len(contacts) < SHORTEST:
+        return [[contacts]]
     inner = graph[contacts][:, contacts] if len(contacts) < graph.shape[0] else graph
     order = reverse_cuthill_mckee(inner, symmetric_mode=True)
-    separator, side = _cut(inner, order)
-    for k in (0, 1):
-        _bisect(graph, contacts[np.sort(order[side == k])], depth - 1, levels)
-    levels[depth].append(contacts[np.sort(separator)])
+    separator, side = _cut(inner, work[contacts], order)
+    halves = [_bisect(graph, work, contacts[np.sort(order[side == k])], depth - 1) for k in (0, 1)]
+    sides: list[list[Index]] = [a + b for a, b in zip_longest(*halves, fillvalue=[])]
+    return sides + _bisect(graph, work, contacts[np.sort(separator)], depth)
 
 
-def _cut(graph: csr_array, order: Index) -> tuple[Index, NDArray[np.int8]]:
+def _cut(graph: csr_array, work: NDArray[np.int64], order: Index) -> tuple[Index, NDArray[np.int8]]:
     """The cut of an order that two threads are through with first; sides 0 and 1, 2 for the separator."""
     n = len(order)
     position = np.empty(n, np.int64)
     position[order] = np.arange(n)
     reach = np.zeros((2, n), np.int64)
     _reach(graph.indptr, graph.indices, position, reach)
-    counts = np.zeros(
+    taken = np.zeros(
         (2, n + 2), np.int64
-    )  # separators of a cut before position k, on its left and on its right
-    _count(reach, counts)
-    length = counts[:, : n + 1] + abs(
-        np.arange(n + 1) - n // 2
-    )  # of the longer side and the separator, but for n/2
-    on, cut = np.unravel_index(np.argmin(length), length.shape)
+    )  # work of the separator of a cut before k, on its left and on its right
+    _count(reach, work[order], taken)
+    left = np.concatenate([[0], np.cumsum(work[order])])
+    on_left, on_right = taken[:, : n + 1]
+    right = left[-1] - left
+    time = np.stack(
+        [np.maximum(left - on_left, right) + on_left, np.maximum(left, right - on_right) + on_right]
+    )
+    on, cut = np.unravel_index(np.argmin(time), time.shape)
     places = np.arange(n)
     side = (places >= cut).astype(np.int8)
-    taken = (places < cut) & (reach[1] >= cut) if on == 0 else (places >= cut) & (reach[0] < cut)
-    side[taken] = 2
-    return order[taken], side
+    separator = (places < cut) & (reach[1] >= cut) if on == 0 else (places >= cut) & (reach[0] < cut)
+    side[separator] = 2
+    return order[separator], side
 
 
 @jit
@@ -114,17 +121,30 @@ def _reach(indptr: Index, indices: Index, position: NDArray[np.int64], reach: ND
 
 
 @jit
-def _count(reach: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
-    """`counts[0, k]`: positions before k with a neighbour from k on; `counts[1, k]` the other way round."""
+def _count(reach: NDArray[np.int64], work: NDArray[np.int64], taken: NDArray[np.int64]) -> None:
+    """`taken[0, k]`: work of positions before k with a neighbour from k on; `taken[1, k]` the other way round."""
     n = reach.shape[1]
     for p in range(n):
-        counts[0, p + 1] += 1
-        counts[0, reach[1, p] + 1] -= 1
-        counts[1, reach[0, p] + 1] += 1
-        counts[1, p + 1] -= 1
+        taken[0, p + 1] += work[p]
+        taken[0, reach[1, p] + 1] -= work[p]
+        taken[1, reach[0, p] + 1] += work[p]
+        taken[1, p + 1] -= work[p]
     for k in range(1, n + 2):
-        counts[0, k] += counts[0, k - 1]
-        counts[1, k] += counts[1, k - 1]
+        taken[0, k] += taken[0, k - 1]
+        taken[1, k] += taken[1, k - 1]
+
+
+def owners(parts: Parts, starts: Index, threads: int) -> Index:
+    """Which of some threads takes each part: phase by phase the longest first, to who has least [Graham 1969]."""
+    work = np.diff(starts)[parts.order] + VISIT
+    sizes = np.add.reduceat(np.append(work, 0), parts.parts[:-1]) * (np.diff(parts.parts) > 0)
+    owner = np.zeros(len(sizes), np.int32)
+    for first, end in pairwise(parts.phases):
+        load = np.zeros(threads, np.int64)
+        for part in first + np.argsort(-sizes[first:end], kind="stable"):
+            owner[part] = np.argmin(load)
+            load[owner[part]] += sizes[part]
+    return owner
 
 
 def _slots(starts: Index, columns: Index, part_of: Index, phase_of: Index) -> tuple[Index, Index, Index]:

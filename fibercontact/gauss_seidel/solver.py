@@ -23,7 +23,7 @@ from fibercontact.gauss_seidel.loop import (
     run_sweeps,
     scale_impulse,
 )
-from fibercontact.gauss_seidel.parts import Parts, undivided
+from fibercontact.gauss_seidel.parts import Parts, owners, undivided
 from fibercontact.gauss_seidel.sweep import COUNTERS, Sweeper
 from fibercontact.gauss_seidel.team import Team, alone, gather
 from fibercontact.gauss_seidel.visit_log import VisitLog, check_log, no_log
@@ -186,7 +186,7 @@ class GaussSeidel:
         how, parts = self._sweeper(b_ref), self._parts(system)
         threads = 1 if log is not None else _threads(parts)
         state = new_state(system, parts, _start(start, len(system.b)), self._window, threads)
-        best = residual_of(system, state, how.facets, alone())
+        best = residual_of(system, state, how.facets, alone(len(parts.parts) - 1))
         past = np.full(self.max_sweeps + 1 if history else 0, np.nan)
         past[:1] = best
         members = self._members(system, state, threads)
@@ -223,7 +223,7 @@ class GaussSeidel:
             scale_impulse(system, state.r, 0, len(system.mu), memory.x)
         return [
             _Member(team, memory.own(), new_guard(self.proximal), np.zeros(COUNTERS, dtype=np.int64))
-            for team in gather(threads)
+            for team in gather(threads, owners(state.parts, system.starts, threads))
         ]
 
     def _rescue(
@@ -241,7 +241,7 @@ class GaussSeidel:
         if run.residual < best:
             best = run.residual
             state.best_r[:] = state.r[:] = run.r
-            write_velocity(system, state.parts, state.r, alone(), state.u)
+            write_velocity(system, state.parts, state.r, alone(len(state.parts.parts) - 1), state.u)
             state.still[:] = np.inf
             for member in members if self.acceleration else ():
                 forget(member.memory)

@@ -185,7 +185,8 @@ def sweep(
     visit (THEORY §4).
     """
     for phase in range(len(parts.phases) - 1):
-        for part in range(parts.phases[phase] + team.rank, parts.phases[phase + 1], team.size):
-            sweep_part(kernel, options, s, parts, how, proximal, part, r, u, still, counts, log)
+        for part in range(parts.phases[phase], parts.phases[phase + 1]):
+            if team.owner[part] == team.rank:
+                sweep_part(kernel, options, s, parts, how, proximal, part, r, u, still, counts, log)
         flush(parts, phase, team, u)
     end_sweep(log, s.sigma, r)

@@ -26,23 +26,24 @@ _SPINS = 2000
 
 
 class Team(NamedTuple):
-    """A thread among `size` that share a `gate`."""
+    """A thread among `size` that share a `gate`, and the thread that takes each part of a sweep."""
 
     rank: int
     size: int
     gate: NDArray[np.int64]  # (16,): arrivals, and the number of times that it has opened
+    owner: NDArray[np.int32]  # (parts,)
 
 
-def gather(size: int) -> list[Team]:
+def gather(size: int, owner: NDArray[np.int32]) -> list[Team]:
     """The members of a team."""
     gate = np.zeros(2 * _APART, dtype=np.int64)
-    return [Team(rank, size, gate) for rank in range(size)]
+    return [Team(rank, size, gate, owner) for rank in range(size)]
 
 
 @jit
-def alone() -> Team:
-    """A team of one."""
-    return Team(0, 1, np.zeros(0, dtype=np.int64))
+def alone(parts: int) -> Team:
+    """A team of one, that takes all parts."""
+    return Team(0, 1, np.zeros(0, dtype=np.int64), np.zeros(parts, dtype=np.int32))
 
 
 @jit
