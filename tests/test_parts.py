@@ -15,7 +15,7 @@ from fibercontact.local.registry import configure, registered
 from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.problem.measure import measure
 
-SMALL = {"SMALLEST": 8, "LEAF": 4}
+SMALL = {"SMALLEST": 8, "SHORTEST": 3, "LEAF": 4}
 
 
 @pytest.fixture(autouse=True)
