@@ -19,7 +19,7 @@ from numba.core import config
 
 __all__ = ["KERNEL_ROOMS", "cache_folder", "content_key", "jit", "jit_inline", "jit_sum"]
 
-KERNEL_ROOMS = ("rods", "contact", "problem", "local", "gauss_seidel")
+KERNEL_ROOMS = ("rods", "contact", "problem", "local", "gauss_seidel", "global_methods")
 """Rooms with kernels. A module imports only from rooms before its own, so no kernel depends on the others."""
 
 _PACKAGE = Path(__file__).parent

@@ -23,8 +23,8 @@ from fibercontact.bench.protocol import BenchError, Limits
 from fibercontact.bench.rows import Key, RowFile, move_away
 from fibercontact.bench.run import Plan, run
 from fibercontact.gauss_seidel.solver import Outcome, Run, Visits
+from fibercontact.global_methods.registry import configure, registered
 from fibercontact.local.contract import Status
-from fibercontact.local.registry import configure, registered
 from fibercontact.problem.fclib import Solution, write
 from fibercontact.problem.measure import Measure
 from fibercontact.problem.step import StepProblem
@@ -240,6 +240,106 @@ def test_editing_a_plugin_takes_effect_at_the_next_run(tmp_path):
     assert len(found[1]) == 2
     assert found[1][1] > 1.2 * undamped  # the edit was compiled, and measured beside the rows of the old one
     assert found[2] == found[1]  # the first text again: known already, nothing to measure
+
+
+# Methods for the whole problem
+
+METHOD = """
+'''A global method for a test.'''
+import os
+import numpy as np
+from fibercontact.global_methods.contract import Answer, GlobalMethod, Unsuited
+from fibercontact.local.contract import Option
+
+def solve(system, task, options):
+    r = np.zeros_like(system.b)
+    {body}
+
+solver = GlobalMethod(solve, options={{"size": Option(1.0, "of the impulses")}})
+"""
+
+ANSWERS = {
+    "stalls": "return Answer(r, False, 3, note='no step decreases anything')",
+    "runs_on": "return Answer(r, False, task.max_iterations)",
+    "lies": "return Answer(r + options[0], True, 1, residual=0.0)",
+    "is_not_a_number": "return Answer(r + np.nan, True, 1)",
+    "has_another_shape": "return Answer(r[:-1], True, 1)",
+    "returns_nothing": "pass",
+    "raises": "raise KeyError('no such contact')",
+    "is_unsuited": "raise Unsuited(f'for at most 1 contact, not {len(system.mu)}')",
+    "overwrites": "system.rows[:] = 0.0; system.b[:] = 0.0; return Answer(r, False, 1)",
+    "loops": "\n    while True: pass",
+    "dies": "os._exit(3)",
+}
+REASONS = {
+    "stalls": ("stalled", "no step decreases anything"),
+    "runs_on": ("iterations", ""),
+    "lies": ("false success", ""),
+    "is_not_a_number": ("not finite", ""),
+    "has_another_shape": ("crash", "has-another-shape: gave impulses of shape (11,), not (12,)"),
+    "returns_nothing": ("crash", "returns-nothing: gave a NoneType, no Answer"),
+    "raises": ("crash", "KeyError: 'no such contact'"),
+    "is_unsuited": ("unsuited", "for at most 1 contact, not 4"),
+    "overwrites": ("stalled", ""),
+    "loops": ("time", "killed after 2 s"),
+    "dies": ("crash", "the process ended with code 3"),
+}
+
+
+def method(folder, name):
+    path = folder / f"{name}.py"
+    path.write_text(METHOD.format(body=ANSWERS[name]))
+    return path
+
+
+def test_global_methods_have_rows_whatever_they_do(tmp_path, monkeypatch):
+    monkeypatch.setattr(run_module, "GRACE_SECONDS", 1.5)
+    plugins = [method(tmp_path, name) for name in ANSWERS]
+    solvers = [*(name.replace("_", "-") for name in ANSWERS), "secular", "apgd"]
+    plan = plan_for(write_set(tmp_path / "set", 1), solvers, plugins, limits=Limits(200, 0.5))
+    rows = {row["solver"]: row for row in run_rows(plan, tmp_path / "run")}
+    for name, (reason, detail) in REASONS.items():
+        row = rows[name.replace("_", "-")]
+        assert (row["reason"], row["detail"]) == (reason, detail), name
+        assert not row["solved"]
+        assert row["time_best"] is None
+        assert row["options"] == "size=1.0"
+    assert rows["lies"]["false_success"]
+    assert rows["stalls"]["sweeps"] == 3
+    for name in ("secular", "apgd"):  # unharmed
+        assert rows[name]["solved"]
+        assert rows[name]["time_median"] > 0
+        assert rows[name]["residual"] <= 1e-4
+
+
+def test_a_row_of_a_global_method_counts_its_iterations_and_has_no_visits(tmp_path):
+    folder, run_folder = write_set(tmp_path / "set", 1), tmp_path / "run"
+    plan = plan_for(folder, ["secular", "spg"], timed=(), rates=("mid",), outer="accelerated", visits=True)
+    listener = Silent()
+    rows = {row["solver"]: row for row in run_rows(plan, run_folder, listener)}
+    assert [rows[name]["outer"] for name in ("secular", "spg")] == ["accelerated", "global"]
+    assert rows["spg"]["sweeps"] > 0
+    assert "visits_open" not in rows["spg"]
+    assert listener.notes == ["no visits to log, for there are no sweeps: spg"]
+    assert [file.name.split(".")[1] for file in (run_folder / "visits").iterdir()] == ["secular"]
+    assert len(run_rows(plan, run_folder)) == 2  # no log is missing
+
+
+def test_a_method_s_own_clock_is_believed(tmp_path):
+    path = method(tmp_path, "stalls")
+    path.write_text(path.read_text().replace("no step decreases anything'", "', seconds=12.5"))
+    desk = Desk([path], ["stalls"])
+    desk.load(write_set(tmp_path / "set", 1) / "chain-00.hdf5", "cold")
+    assert desk.solve(Pass("stalls", "mid", "global", Limits(), timed=True))["seconds"] == 12.5
+
+
+def test_a_method_is_prepared_before_the_clock_starts(tmp_path):
+    path = method(tmp_path, "stalls")
+    path.write_text(
+        path.read_text().replace("size", "ready") + "\nsolver = GlobalMethod(solve, prepare=lambda: 1 / 0)"
+    )
+    with pytest.raises(ZeroDivisionError):
+        Desk([path], ["stalls"])
 
 
 # Resumption

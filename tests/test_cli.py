@@ -148,7 +148,7 @@ def test_the_input_is_never_overwritten(file):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--solver", "nix"], f"unknown local solver 'nix' (known: {KNOWN}"),
+        (["--solver", "nix"], "unknown solver 'nix' (known: admm, apgd, "),
         (["--solver", "pyramid:sides=3"], "unknown option 'sides' (known: facets"),
         (["--solver", "pyramid:facets=2"], "'facets' must be an integer >= 3"),
         (["--solver", "pac", "--accuracy", "best"], "unknown accuracy 'best' (known: low, mid, high, full)"),
@@ -182,6 +182,20 @@ def test_a_wrong_option_is_an_error_of_usage():
     assert call("solve", "--no-such-option").exit_code == 2
 
 
+def test_solve_by_a_global_method(file, tmp_path):
+    out = tmp_path / "answer.hdf5"
+    result = call("solve", file, "--solver", "newton-ac", "--accuracy", "full", "--out", out, "--json")
+    assert result.exit_code == 0
+    said = json.loads(result.stdout)
+    answer = read(out)
+    assert measure(answer.problem.condense(), answer.solution.r).residual <= 1e-8
+    assert 0 < said["sweeps"] < 50
+    short = call("solve", file, "--solver", "spg", "--accuracy", "full", "--max-sweeps", 1)
+    assert short.exit_code == 1
+    assert "not solved (iterations: the iterations were exhausted)" in short.stdout
+    assert "there are no visits to log" in fails("solve", file, "--solver", "spg", "--log", "visits")
+
+
 # info and solvers
 
 
@@ -210,6 +224,9 @@ def test_solvers_lists_names_laws_options_and_origins(tmp_path):
     assert "pyramid  (pyramid with 4 facets; built in)" in text
     assert f"my-solver  (Coulomb; {tmp_path / 'my_solver.py'})\n    Frictionless contact: an example." in text
     assert "    relaxation=1  share of the step that is taken" in text
+    assert text.index("\nmy-solver  (") < text.index(
+        "\nspg  (global method; Coulomb; built in)\n    Spectral"
+    )
 
 
 @pytest.mark.parametrize(
@@ -262,13 +279,31 @@ def test_table_with_a_plugin(tmp_path, monkeypatch):
     assert [json.loads(row)["solver"] for row in rows] == ["hybrid"]
 
 
+def test_table_of_global_methods(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "set").mkdir()
+    write(tmp_path / "set" / "stack.hdf5", stack())
+    assert call("new-solver", "mine", "--global").exit_code == 0
+    result = call("table", "--set", "set", "--solvers", "secular", "--global", "--plugin", "mine.py",
+                  "--rates", "high")  # fmt: skip
+    assert result.exit_code == 0, result.stderr
+    table = pd.read_csv(tmp_path / "runs" / "set" / "table.csv").set_index("solver")
+    methods = ["admm", "apgd", "cadoux-apgd", "cadoux-spg", "interior-point", "newton-ac", "newton-fb", "spg"]
+    assert list(table.index) == ["secular", *methods, "mine"]
+    assert (table["failed"] == 0).all()
+    assert "global methods, whose sweeps are iterations" in result.stdout
+    assert "global outer loop" not in result.stdout
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["--level", 1, "--global"], "--global belong to level 3"),
+        (["--level", 1, "--solvers", "spg"], "unknown local solver 'spg'"),
         (["--set", "nowhere"], "no set of problems 'nowhere'"),
         (["--accuracy", "best"], "unknown accuracy 'best'"),
         (["--rates", "best"], "unknown accuracy 'best'"),
-        (["--set", "SET", "--solvers", "hybrid,nix"], "unknown local solver 'nix'"),
+        (["--set", "SET", "--solvers", "hybrid,nix"], "unknown solver 'nix'"),
         (["--set", "SET", "--plugin", "nowhere.py"], "nowhere.py: no such file"),
     ],
 )

@@ -231,7 +231,9 @@ def entry_point(name, thing, distribution="somewhere"):
             raise thing
         return thing
 
-    return SimpleNamespace(name=name, load=load, dist=SimpleNamespace(name=distribution))
+    return SimpleNamespace(
+        name=name, load=load, module="somebody_s_solver", dist=SimpleNamespace(name=distribution)
+    )
 
 
 def offer(monkeypatch, *points):

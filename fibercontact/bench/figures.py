@@ -45,7 +45,7 @@ def draw_profile(ratios: pd.DataFrame, title: str) -> Figure:
             [0.0, *share, share[-1] if len(share) else 0.0],
             where="post",
             color=COLOURS[k % len(COLOURS)],
-            linestyle=DASHES[k % len(DASHES)],
+            linestyle=DASHES[(k + k // len(COLOURS)) % len(DASHES)],
             linewidth=1.8,
             label=solver,
         )
@@ -153,7 +153,7 @@ def _published_note(table: pd.DataFrame) -> str:
 
 
 def _style(k: int) -> tuple[str, str]:
-    return COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)]
+    return COLOURS[k % len(COLOURS)], MARKERS[(k + k // len(COLOURS)) % len(MARKERS)]
 
 
 def _label(figure: Figure, axes: Axes, points: Sequence[Point]) -> None:

@@ -5,6 +5,7 @@ ones run as a user would run them. Every answer is measured here, from `(W, b, m
 says of itself is recorded beside it and decides nothing.
 """
 
+import copy
 import dataclasses
 import tempfile
 import time
@@ -22,8 +23,10 @@ from fibercontact.bench.visits import SAMPLE, VisitRecord, record_of, write_log
 from fibercontact.gauss_seidel.blocks import BlockSystem, block_system
 from fibercontact.gauss_seidel.solver import LOOPS, GaussSeidel, Outcome, Run, Visits
 from fibercontact.gauss_seidel.visit_log import new_log
+from fibercontact.global_methods.contract import Answer, Task, Unsuited
+from fibercontact.global_methods.registry import AnyConfigured, ConfiguredMethod, configure, registered
 from fibercontact.local.contract import Status
-from fibercontact.local.registry import Configured, configure, registered
+from fibercontact.local.registry import Configured
 from fibercontact.problem.fclib import FclibFile, read, write
 from fibercontact.problem.incremental import IncrementalProblem, ProblemWarning
 from fibercontact.problem.measure import Measure, measure
@@ -31,10 +34,13 @@ from fibercontact.problem.step import StepProblem
 
 __all__ = [
     "Desk", "Laid", "LogOrder", "Pass", "gauss_seidel", "judge", "lay_out", "logged", "options_text",
-    "starting_impulse",
+    "solve_globally", "starting_impulse",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
+
+UNSUITED = "unsuited"
+"""Reason of a row whose method does not take the problem."""
 
 
 class Laid(NamedTuple):
@@ -53,7 +59,7 @@ class LogOrder(NamedTuple):
 
 
 class Pass(NamedTuple):
-    """What to do with the problem at hand; `solver` is a local solver's specification."""
+    """What to do with the problem at hand; `solver` is the specification of a local solver or a global method."""
 
     solver: str
     accuracy: str
@@ -91,6 +97,49 @@ def logged(
     return run, found, record_of(log, run, problem.sigma, problem.b_ref, {**about, **verdict})
 
 
+def solve_globally(
+    method: ConfiguredMethod, laid: Laid, start: Array | None, tolerance: float, limits: Limits
+) -> dict[str, Any]:
+    """Solve by a global method, in a copy of the problem, and measure: what a pass leaves in its row, and `r`."""
+    problem, system = laid.problem, copy.deepcopy(laid.system)
+    began_at = None if start is None else start.copy()
+    task = Task(tolerance, problem.b_ref, limits.sweeps, limits.seconds, began_at)
+    began = time.perf_counter()
+    try:
+        answer = method.solve(system, task)
+    except Unsuited as fault:
+        verdict = {"claimed": False, "solved": False, "false_success": False}
+        return verdict | {"outcome": UNSUITED, "reason": UNSUITED, "detail": str(fault)}
+    seconds = time.perf_counter() - began
+    found = measure(problem, answer.r, method.facets)
+    solved = found.residual <= tolerance
+    reason = "" if solved else _ending(answer, task, seconds)
+    return {
+        "r": answer.r,
+        "seconds": seconds if answer.seconds is None else answer.seconds,
+        "claimed": answer.claimed,
+        "solved": solved,
+        "false_success": answer.claimed and not solved,
+        "reason": reason,
+        "detail": "" if solved else answer.note,
+        "outcome": "converged" if answer.claimed else reason or "not claimed",
+        "sweeps": answer.iterations,
+        "own_residual": answer.residual,
+        **dataclasses.asdict(found),
+    }
+
+
+def _ending(answer: Answer, task: Task, seconds: float) -> str:
+    """Why an answer that is none was given."""
+    if not np.isfinite(answer.r).all():
+        return "not finite"
+    if answer.claimed:
+        return "false success"
+    if seconds >= task.max_seconds:
+        return "time"
+    return "iterations" if answer.iterations >= task.max_iterations else "stalled"
+
+
 def starting_impulse(file: FclibFile, start: str) -> Array | None:
     """The impulse to start from; raises `BenchError` when the file holds no guess and one is asked for."""
     if start == "cold":
@@ -101,10 +150,10 @@ def starting_impulse(file: FclibFile, start: str) -> Array | None:
     raise BenchError(f"{file.path}: no guess of the impulses in it, so no start from one")
 
 
-def options_text(local: Configured) -> str:
+def options_text(solver: AnyConfigured) -> str:
     """All options of a configured solver with their values, `name=value` separated by commas."""
-    names = local.registered.solver.options
-    return ",".join(f"{name}={float(value)!r}" for name, value in zip(names, local.options, strict=True))
+    names = solver.registered.solver.options
+    return ",".join(f"{name}={float(value)!r}" for name, value in zip(names, solver.options, strict=True))
 
 
 def judge(run: Run, found: Measure, tolerance: float) -> dict[str, Any]:
@@ -145,13 +194,13 @@ class Desk:
         self._solvers = {label: configure(label, known) for label in solvers}
         self._laid: Laid | None = None
         self._start: Array | None = None
-        for local in self._solvers.values():
-            local.kernel()  # compiled but not run: a stranger's kernel may hang
+        for solver in self._solvers.values():  # compiled but not run: a stranger's may hang
+            solver.kernel() if isinstance(solver, Configured) else solver.prepare()
         _warm_up(configure("secular", known))
 
     def fingerprints(self) -> dict[str, str]:
         """What the solvers were compiled from."""
-        return {label: local.registered.fingerprint for label, local in self._solvers.items()}
+        return {label: solver.registered.fingerprint for label, solver in self._solvers.items()}
 
     def load(self, path: Path, start: str) -> dict[str, Any]:
         """Take a problem from its file; returns its sizes, the seconds of its set-up, how it was altered."""
@@ -174,8 +223,10 @@ class Desk:
     def solve(self, task: Pass) -> dict[str, Any]:
         """One pass over the problem at hand; a log that cannot be written is told in `log_fault`."""
         assert self._laid is not None, "no problem loaded"
-        local = self._solvers[task.solver]
-        tolerance = ACCURACIES[task.accuracy]
+        local, tolerance = self._solvers[task.solver], ACCURACIES[task.accuracy]
+        if isinstance(local, ConfiguredMethod):
+            row = solve_globally(local, self._laid, self._start, tolerance, task.limits)
+            return {name: value for name, value in row.items() if name != "r"}
         loop = gauss_seidel(local, tolerance, task.outer, task.limits)
         if task.log is not None:
             run, found, record = logged(loop, self._laid, self._start, task.log.about)
@@ -199,8 +250,9 @@ def _written(file: Path, record: VisitRecord) -> dict[str, str]:
     return {}
 
 
-def _warm_up(local: Configured) -> None:
+def _warm_up(local: AnyConfigured) -> None:
     """Run everything that a pass runs once, from the file on, before any clock starts."""
+    assert isinstance(local, Configured)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "one_contact.hdf5")
         write(file, _one_contact())

@@ -11,6 +11,7 @@ from fibercontact.errors import UserError
 __all__ = [
     "ACCURACIES",
     "DEFAULT_SOLVERS",
+    "GLOBAL",
     "LOGS",
     "OUTERS",
     "PROTOCOL",
@@ -28,6 +29,8 @@ ACCURACIES = {"low": 1e-2, "mid": 1e-4, "high": 1e-6, "full": 1e-8}
 
 STARTS = ("cold", "guess")
 OUTERS = ("plain", "accelerated", "robust")
+GLOBAL = "global"
+"""The outer loop of a method that takes the whole problem: none."""
 LOGS = ("visits",)
 
 DEFAULT_SOLVERS = (

@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 
 from fibercontact.bench.figures import draw_failures, draw_profile, save
-from fibercontact.bench.protocol import ACCURACIES, BenchError
+from fibercontact.bench.protocol import ACCURACIES, GLOBAL, BenchError
 from fibercontact.bench.rows import TIMED, Row
 from fibercontact.bench.tables import (
     common_problems,
@@ -48,7 +48,8 @@ class View:
         """Heading: how many problems, at which accuracy, from which start."""
         row = self.rows.iloc[0]
         tolerance, problems = row["tolerance"], rated(self.rows)["problem_hash"].nunique()
-        loop = "" if row["outer"] == "plain" else f", {row['outer']} outer loop"
+        loops = [outer for outer in self.rows["outer"].unique() if outer not in ("plain", GLOBAL)]
+        loop = f", {', '.join(loops)} outer loop" if loops else ""
         return f"{problems} problems, accuracy {self.accuracy} ({tolerance:.0e}), {row['start']} start{loop}"
 
 
@@ -111,6 +112,10 @@ def _remarks(rows: pd.DataFrame, table: pd.DataFrame) -> list[str]:
             )
         elif solver not in names:
             remarks.append(f"{solver} solved nothing and is left out of the comparison")
+    methods = set(rows[rows["outer"] == GLOBAL]["solver"])
+    if methods:
+        named = ", ".join(solver for solver in table.index if solver in methods)
+        remarks.append(f"global methods, whose sweeps are iterations, each of a cost of its own: {named}")
     unsolvable = sorted(rows[rows["existence"] == UNSOLVABLE]["problem"].unique())
     if unsolvable:
         remarks.append(f"proved unsolvable and left out of the rates: {', '.join(unsolvable)}")

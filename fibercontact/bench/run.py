@@ -1,4 +1,4 @@
-"""Replay a set of problems through local solvers by level 3 of the protocol, one row a measurement."""
+"""Replay a set of problems through solvers by level 3 of the protocol, one row a measurement."""
 
 import math
 import queue
@@ -15,10 +15,11 @@ import fibercontact
 from fibercontact.bench.environment import cpu_model, load, one_thread, usable_cores, versions
 from fibercontact.bench.passes import LogOrder, Pass, options_text
 from fibercontact.bench.problem_set import Entry
-from fibercontact.bench.protocol import ACCURACIES, PROTOCOL, Limits
+from fibercontact.bench.protocol import ACCURACIES, GLOBAL, PROTOCOL, Limits
 from fibercontact.bench.rows import RATES, TIMED, Key, Row, RowFile
 from fibercontact.bench.visits import about, log_file
 from fibercontact.bench.worker import Crashed, Ended, Hung, Refused, Worker
+from fibercontact.global_methods.registry import AnyConfigured
 from fibercontact.jit import content_key
 from fibercontact.local.registry import Configured
 
@@ -58,10 +59,10 @@ class Unit:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a run is asked to do; `visits` asks for a visit log of every pass that is not timed."""
+    """What a run is asked to do; `visits` asks for a visit log of every pass of sweeps that is not timed."""
 
     entries: Sequence[Entry]
-    solvers: Sequence[Configured]
+    solvers: Sequence[AnyConfigured]
     timed: Sequence[str]
     rates: Sequence[str] = ()
     start: str = "cold"
@@ -88,7 +89,7 @@ class Plan:
             for solver in self.solvers
         ]
 
-    def _key(self, entry: Entry, solver: Configured, accuracy: str, mode: str) -> Key:
+    def _key(self, entry: Entry, solver: AnyConfigured, accuracy: str, mode: str) -> Key:
         return Key(
             problem_hash=entry.hash,
             solver=solver.label,
@@ -96,7 +97,7 @@ class Plan:
             options=options_text(solver),
             accuracy=accuracy,
             start=self.start,
-            outer=self.outer,
+            outer=self.outer if isinstance(solver, Configured) else GLOBAL,
             mode=mode,
             repetitions=self.repetitions if mode == TIMED else 0,
             max_sweeps=self.limits.sweeps,
@@ -132,7 +133,7 @@ def run(plan: Plan, rows: RowFile, listener: Listener) -> list[str]:
     units = plan.work()
     logs = rows.path.parent / VISITS if plan.visits else None
     missing = [unit for unit in units if unit.key not in done or _lacks_log(unit, done[unit.key], logs)]
-    for note in [*rows.notes, *_strangers(set(done), units, rows.path)]:
+    for note in [*rows.notes, *_strangers(set(done), units, rows.path), *_without_visits(plan)]:
         listener.note(note)
     faults: list[str] = []
     with one_thread(), rows.appending():
@@ -145,7 +146,9 @@ def run(plan: Plan, rows: RowFile, listener: Listener) -> list[str]:
 
 def _lacks_log(unit: Unit, row: Row, logs: Path | None) -> bool:
     """Whether a row that is there came of a pass whose log is asked for and not there."""
-    if logs is None or unit.key.mode == TIMED or "outcome" not in row:  # killed or crashed: nothing to log
+    if logs is None or unit.key.mode == TIMED or unit.key.outer == GLOBAL:
+        return False
+    if "outcome" not in row:  # killed or crashed: nothing to log
         return False
     return not log_file(logs, unit.entry, unit.key).is_file()
 
@@ -156,6 +159,13 @@ def _strangers(done: set[Key | None], units: list[Unit], path: Path) -> Iterator
     others = sum(key is None or (key.protocol, key.code, key.cpu) not in ours for key in done)
     if others:
         yield f"{path}: {others} row(s) of another protocol, other code or another machine are left aside"
+
+
+def _without_visits(plan: Plan) -> Iterator[str]:
+    """A note on the solvers that have no visits to log."""
+    methods = [solver.label for solver in plan.solvers if not isinstance(solver, Configured)]
+    if plan.visits and methods:
+        yield f"no visits to log, for there are no sweeps: {', '.join(methods)}"
 
 
 def _by_problem(units: Iterable[Unit]) -> Iterator[list[Unit]]:
@@ -279,7 +289,7 @@ class _Measurement:
         key = unit.key
         self.listener.now(unit.entry.name, key.solver)
         order = None
-        if self.logs is not None and not timed:
+        if self.logs is not None and not timed and key.outer != GLOBAL:
             order = LogOrder(log_file(self.logs, unit.entry, key), unit.about())
         task = Pass(key.solver, key.accuracy, key.outer, key.limits, timed, order)
         try:

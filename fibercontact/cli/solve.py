@@ -1,4 +1,4 @@
-"""`fibercontact solve`: one problem, one local solver."""
+"""`fibercontact solve`: one problem, one solver."""
 
 import json
 from pathlib import Path
@@ -13,6 +13,12 @@ from fibercontact.cli.solvers import Plugins
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from fibercontact.bench.passes import Laid
+    from fibercontact.bench.protocol import Limits
+    from fibercontact.bench.run import Unit
+    from fibercontact.gauss_seidel.solver import GaussSeidel
+    from fibercontact.global_methods.registry import ConfiguredMethod
+    from fibercontact.local.registry import Configured
     from fibercontact.problem.fclib import FclibFile
     from fibercontact.problem.incremental import IncrementalProblem
 
@@ -21,12 +27,14 @@ __all__ = ["solve"]
 
 def solve(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="An FCLIB file (HDF5).")],
-    solver: Annotated[str, typer.Option(metavar="NAME", help="Local solver, `NAME[:option=value,...]`.")],
+    solver: Annotated[
+        str, typer.Option(metavar="NAME", help="Local solver or global method, `NAME[:option=value,...]`.")
+    ],
     accuracy: Annotated[str, typer.Option(help=f"{', '.join(ACCURACIES)}.")] = "mid",
     start: Annotated[str, typer.Option(help="cold (zero) or guess (the file's first).")] = "cold",
     outer: Annotated[str, typer.Option(help="Gauss–Seidel: plain, accelerated or robust.")] = "plain",
     plugin: Plugins = None,
-    max_sweeps: Annotated[int, typer.Option(help="Sweeps at most.", min=0)] = 5000,
+    max_sweeps: Annotated[int, typer.Option(help="Sweeps, or iterations, at most.", min=0)] = 5000,
     max_seconds: Annotated[float, typer.Option(help="Seconds at most.", min=0)] = 30.0,
     out: Annotated[
         Path | None, typer.Option(metavar="ANSWER.hdf5", help="Write problem and answer here.")
@@ -57,52 +65,99 @@ def solve(
         check_known("log", [log] if log else [], LOGS)
         _check_output(file, out)
         _check_output(file, log_file)
-        from fibercontact.bench.passes import gauss_seidel, judge, lay_out, logged, starting_impulse
-        from fibercontact.bench.problem_set import entry_of
-        from fibercontact.bench.protocol import Limits
-        from fibercontact.bench.run import VISITS, single
-        from fibercontact.bench.visits import check_sweeps, write_log
-        from fibercontact.bench.visits import log_file as default_log
-        from fibercontact.local.registry import configure, registered
+        from fibercontact.bench.passes import gauss_seidel, lay_out, starting_impulse
+        from fibercontact.bench.protocol import BenchError, Limits
+        from fibercontact.global_methods.registry import ConfiguredMethod, configure, registered
         from fibercontact.problem.fclib import read
-        from fibercontact.problem.measure import measure
 
-        local = configure(solver, registered(plugin or []))
+        chosen = configure(solver, registered(plugin or []))
         found = read(file)
         first = starting_impulse(found, start)
         laid = lay_out(found.problem)
         limits = Limits(max_sweeps, max_seconds)
-        loop = gauss_seidel(local, ACCURACIES[accuracy], outer, limits)
-        if log or log_file:
-            check_sweeps(max_sweeps)
-            unit = single(entry_of(file), local, accuracy, start, outer, limits)
-            run, measured, record = logged(loop, laid, first, unit.about())
-            log_file = log_file or default_log(Path(VISITS), unit.entry, unit.key)
-            write_log(log_file, record)
+        if not isinstance(chosen, ConfiguredMethod):
+            unit = _unit_to_log(file, chosen, accuracy, start, outer, limits) if log or log_file else None
+            loop = gauss_seidel(chosen, ACCURACIES[accuracy], outer, limits)
+            said = _by_sweeps(loop, laid, first, unit, log_file)
+        elif log or log_file:
+            raise BenchError(f"{solver} takes the whole problem: there are no visits to log")
         else:
-            run = loop.solve_system(laid.system, laid.problem.b_ref, first)
-            measured = measure(laid.problem, run.r, local.facets)
-        verdict = judge(run, measured, loop.tolerance)
+            said = _globally(chosen, laid, first, accuracy, limits)
+        r = said.pop("r")
         answer = {
-            "file": str(file), "solver": solver, "accuracy": accuracy, "tolerance": loop.tolerance,
-            "solved": verdict["solved"], "status": run.outcome.name.lower(), "message": run.outcome.sentence,
-            "reason": verdict["reason"], "detail": verdict["detail"],
-            "residual": measured.residual, "coulomb_residual": measured.coulomb,
-            "sweeps": run.sweeps, "seconds": run.seconds, "contacts": laid.problem.n,
-            "log": str(log_file) if log_file else None,
-        }  # fmt: skip
+            "file": str(file), "solver": solver, "accuracy": accuracy, "tolerance": ACCURACIES[accuracy],
+            "contacts": laid.problem.n,
+        } | said  # fmt: skip
         if out is not None:
-            _write_answer(out, found, laid.problem, run.r)
+            _write_answer(out, found, laid.problem, r)
         typer.echo(json.dumps(answer) if as_json else _lines(answer))
-    raise typer.Exit(0 if verdict["solved"] else 1)
+    raise typer.Exit(0 if answer["solved"] else 1)
+
+
+def _unit_to_log(
+    file: Path, local: "Configured", accuracy: str, start: str, outer: str, limits: "Limits"
+) -> "Unit":
+    from fibercontact.bench.problem_set import entry_of
+    from fibercontact.bench.run import single
+    from fibercontact.bench.visits import check_sweeps
+
+    check_sweeps(limits.sweeps)
+    return single(entry_of(file), local, accuracy, start, outer, limits)
+
+
+def _by_sweeps(
+    loop: "GaussSeidel",
+    laid: "Laid",
+    first: "NDArray[Any] | None",
+    unit: "Unit | None",
+    log_file: Path | None,
+) -> dict[str, Any]:
+    """Solve by sweeps, the visits logged when the unit to log is given."""
+    from fibercontact.bench.passes import judge, logged
+    from fibercontact.bench.run import VISITS
+    from fibercontact.bench.visits import log_file as default_log
+    from fibercontact.bench.visits import write_log
+    from fibercontact.problem.measure import measure
+
+    if unit is not None:
+        run, measured, record = logged(loop, laid, first, unit.about())
+        log_file = log_file or default_log(Path(VISITS), unit.entry, unit.key)
+        write_log(log_file, record)
+    else:
+        run = loop.solve_system(laid.system, laid.problem.b_ref, first)
+        measured = measure(laid.problem, run.r, loop.local.facets)
+    verdict = judge(run, measured, loop.tolerance)
+    return {
+        "r": run.r, "solved": verdict["solved"], "status": run.outcome.name.lower(),
+        "message": run.outcome.sentence, "reason": verdict["reason"], "detail": verdict["detail"],
+        "residual": measured.residual, "coulomb_residual": measured.coulomb,
+        "sweeps": run.sweeps, "seconds": run.seconds, "log": str(log_file) if log_file else None,
+    }  # fmt: skip
+
+
+def _globally(
+    method: "ConfiguredMethod", laid: "Laid", first: "NDArray[Any] | None", accuracy: str, limits: "Limits"
+) -> dict[str, Any]:
+    """Solve by a global method."""
+    from fibercontact.bench.passes import solve_globally
+    from fibercontact.bench.protocol import BenchError
+
+    method.prepare()
+    row = solve_globally(method, laid, first, ACCURACIES[accuracy], limits)
+    if "r" not in row:
+        raise BenchError(f"{method.label}: {row['detail']}")
+    said = (
+        "its residual met the tolerance, it says" if row["claimed"] else row["detail"] or "nothing is claimed"
+    )
+    kept = ("r", "solved", "reason", "detail", "residual", "sweeps", "seconds")
+    return {name: row[name] for name in kept} | {
+        "status": row["outcome"], "message": said, "coulomb_residual": row["coulomb"], "log": None
+    }  # fmt: skip
 
 
 def _lines(answer: dict[str, Any]) -> str:
-    solved = (
-        "solved"
-        if answer["solved"]
-        else f"not solved ({answer['reason']}: {answer['detail'] or 'no local failure'})"
-    )
+    why = answer["detail"] or ("no local failure" if answer["reason"] == "outer" else "")
+    solved = "solved" if answer["solved"] else f"not solved ({answer['reason']}{': ' if why else ''}{why})"
     return "\n".join(
         f"{name:<10}{text}"
         for name, text in (

@@ -1,4 +1,4 @@
-"""`fibercontact solvers`: what local solvers there are."""
+"""`fibercontact solvers`: what local solvers and global methods there are."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,23 +11,24 @@ __all__ = ["Plugins", "solvers", "split_solvers"]
 
 Plugins = Annotated[
     list[Path] | None,
-    typer.Option("--plugin", metavar="FILE", help="A Python file with a local solver; may be repeated."),
+    typer.Option("--plugin", metavar="FILE", help="A Python file with a solver; may be repeated."),
 ]
 
 
 def solvers(plugin: Plugins = None) -> None:
-    """List the local solvers: law, options with their defaults, where each comes from.
+    """List the local solvers, then the global methods: law, options with their defaults, where each comes from.
 
     Example: fibercontact solvers --plugin my_solver.py
     """
     with user_errors():
-        from fibercontact.local.registry import configure, registered
+        from fibercontact.global_methods.registry import configure, is_global, registered
 
         known = registered(plugin or [])
-        for name in sorted(known):
+        for name in sorted(known, key=lambda name: (is_global(known[name]), name)):
             entry, facets = known[name], configure(name, known).facets
             law = f"pyramid with {facets} facets" if facets else "Coulomb"
-            typer.echo(f"{name}  ({law}; {entry.origin})\n    {entry.summary}")
+            kind = "global method; " if is_global(entry) else ""
+            typer.echo(f"{name}  ({kind}{law}; {entry.origin})\n    {entry.summary}")
             for option, value in entry.solver.options.items():
                 typer.echo(f"    {option}={value.default:g}  {value.meaning}")
 

@@ -1,8 +1,8 @@
 """`fibercontact table`: the comparison table, regenerated."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from fibercontact.bench.report import Report
     from fibercontact.bench.rows import Row, RowFile
     from fibercontact.bench.run import Plan
+    from fibercontact.global_methods.registry import AnyConfigured
+    from fibercontact.local.loading import Registered
     from fibercontact.local.registry import Configured
 
 __all__ = ["table"]
@@ -28,8 +30,14 @@ def table(
     ] = None,
     solvers: Annotated[
         str | None,
-        typer.Option(metavar="A,B,...", help="Local solvers, `NAME[:option=value,...]`; all by default."),
+        typer.Option(
+            metavar="A,B,...",
+            help="Local solvers or global methods, `NAME[:option=value,...]`; all local ones by default.",
+        ),
     ] = None,
+    all_global: Annotated[
+        bool, typer.Option("--global", help="And all global methods: what one might use instead of sweeps.")
+    ] = False,
     plugin: Plugins = None,
     level: Annotated[
         int, typer.Option(help="3: whole problems. 1: one-contact problems, each solved once.", min=1, max=3)
@@ -55,7 +63,7 @@ def table(
     fresh: Annotated[
         bool, typer.Option("--fresh", help="Start over; an earlier run is moved aside.")
     ] = False,
-    max_sweeps: Annotated[int, typer.Option(help="Sweeps a problem at most.", min=1)] = 5000,
+    max_sweeps: Annotated[int, typer.Option(help="Sweeps, or iterations, a problem at most.", min=1)] = 5000,
     max_seconds: Annotated[float, typer.Option(help="Seconds a problem at most.", min=0)] = 30.0,
     log: Annotated[
         str | None,
@@ -64,7 +72,7 @@ def table(
         ),
     ] = None,
 ) -> None:
-    """Replay a set of problems through the local solvers: failure rates, sweeps and times, in one table.
+    """Replay a set of problems through the solvers: failure rates, sweeps and times, in one table.
 
     Times are taken one after the other on one core, at low accuracy by default. Each result is written as it
     comes: the same command continues a run that was interrupted. The run folder gets the rows, the table
@@ -78,6 +86,8 @@ def table(
 
     fibercontact table --plugin my_solver.py --limit 20
 
+    fibercontact table --solvers secular --global --accuracy mid
+
     fibercontact table --level 1
     """
     with user_errors():
@@ -87,12 +97,14 @@ def table(
         check_known("outer loop", [outer], OUTERS)
         check_known("log", [log] if log else [], LOGS)
         if level == 1:
-            if accuracy or rates or log:
+            if accuracy or rates or log or all_global:
                 raise BenchError(
-                    "--accuracy, --rates and --log belong to level 3: at level 1 each contact is solved once"
+                    "--accuracy, --rates, --log and --global belong to level 3: "
+                    "at level 1 each contact is solved once"
                 )
-            local = _configured(solvers, plugin or [])
-            one_contact_table(problems, local, plugin or [], repetitions, limit, out, max_seconds)
+            one_contact_table(
+                problems, _local(solvers, plugin or []), plugin or [], repetitions, limit, out, max_seconds
+            )
             return
         from fibercontact.bench.environment import usable_cores
         from fibercontact.bench.problem_set import find_set, limited, load_set
@@ -107,7 +119,7 @@ def table(
         entries = limited(load_set(folder), limit)
         plan = Plan(
             entries,
-            _configured(solvers, plugin or []),
+            _configured(solvers, plugin or [], all_global),
             timed=_ordered(accuracy if accuracy or rates else ["low"]),
             rates=_ordered([level for level in rates or [] if level not in (accuracy or [])]),
             start=start,
@@ -130,14 +142,33 @@ def _ordered(levels: Sequence[str] | None) -> list[str]:
     return [level for level in ACCURACIES if level in (levels or [])]
 
 
-def _configured(solvers: str | None, plugins: Sequence[Path]) -> "list[Configured]":
-    """The solvers asked for, by default all, the talk's first; those of plugins always."""
+def _local(solvers: str | None, plugins: Sequence[Path]) -> "list[Configured]":
+    """The local solvers asked for, by default all, the talk's first; those of plugins always."""
     from fibercontact.local.registry import configure, registered
 
     known = registered(plugins)
     given = split_solvers(solvers) if solvers is not None else [*DEFAULT_SOLVERS, *known]
-    from_plugins = [name for name in known if known[name].origin in {str(path) for path in plugins}]
-    return [configure(text, known) for text in dict.fromkeys([*given, *from_plugins])]
+    return [configure(text, known) for text in _with_plugins(given, known, plugins)]
+
+
+def _configured(solvers: str | None, plugins: Sequence[Path], all_global: bool) -> "list[AnyConfigured]":
+    """The solvers asked for, by default all local ones, the talk's first; those of plugins always."""
+    from fibercontact.global_methods.registry import configure, is_global, registered
+
+    known = registered(plugins)
+    local = [name for name in known if not is_global(known[name])]
+    given = split_solvers(solvers) if solvers is not None else [*DEFAULT_SOLVERS, *local]
+    methods = [name for name in known if is_global(known[name]) and known[name].origin == "built in"]
+    given += methods if all_global else []
+    return [configure(text, known) for text in _with_plugins(given, known, plugins)]
+
+
+def _with_plugins(
+    given: Sequence[str], known: "Mapping[str, Registered[Any]]", plugins: Sequence[Path]
+) -> list[str]:
+    """The specifications given, each once, and the names of what the plugins hold."""
+    files = {str(path) for path in plugins}
+    return list(dict.fromkeys([*given, *(name for name in known if known[name].origin in files)]))
 
 
 def _run(plan: "Plan", rows: "RowFile") -> list[str]:

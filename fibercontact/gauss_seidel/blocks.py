@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import bsr_array, csr_array
 
 from fibercontact.gauss_seidel.parts import Parts, divide
 from fibercontact.gauss_seidel.team import Team, alone, share, wait
@@ -14,7 +15,7 @@ from fibercontact.problem.cone import natural_map
 from fibercontact.problem.incremental import IncrementalProblem
 
 __all__ = [
-    "BlockSystem", "block_system", "flush", "new_velocity", "residual_from", "root_mean_square", "squares",
+    "BlockSystem", "block_system", "flush", "matrix", "new_velocity", "residual_from", "root_mean_square", "squares",
     "velocity", "write_velocity",
 ]  # fmt: skip
 
@@ -43,6 +44,12 @@ def block_system(problem: IncrementalProblem) -> BlockSystem:
     diagonal = np.ascontiguousarray(problem.diagonal.reshape(problem.n, 9))
     parts = divide(starts, columns)
     return BlockSystem(starts, columns, blocks, diagonal, problem.sigma, problem.b, problem.mu, parts)
+
+
+def matrix(s: BlockSystem, blocks: Array) -> csr_array:
+    """The sparse matrix (3n, 3n) of such blocks in the places of those of W."""
+    data = np.reshape(blocks[: 9 * len(s.columns)], (-1, 3, 3))
+    return csr_array(bsr_array((data, s.columns, s.starts), shape=2 * (len(s.b),)))
 
 
 def new_velocity(parts: Parts) -> Array:

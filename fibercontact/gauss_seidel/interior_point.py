@@ -23,10 +23,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import bsr_array, csc_array, csr_array
+from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
-from fibercontact.gauss_seidel.blocks import BlockSystem, residual_from, velocity
+from fibercontact.gauss_seidel.blocks import BlockSystem, matrix, residual_from, velocity
 from fibercontact.problem.cone import COULOMB
 
 __all__ = ["InteriorRun", "interior_point"]
@@ -106,8 +106,7 @@ def _in_cones(system: BlockSystem, b_ref: float) -> _Cones:
     n, slides = len(system.mu), system.mu > 0.0
     s, unit = np.sqrt(system.sigma), b_ref / np.sqrt(np.mean(system.sigma))
     kept = np.column_stack([1.0 / np.where(slides, system.mu, 1.0), slides, slides]) / s[:, None]
-    blocks = np.reshape(system.blocks[: 9 * len(system.columns)], (-1, 3, 3))
-    W = csr_array(bsr_array((blocks, system.columns, system.starts), shape=2 * (3 * n,)))
+    W = matrix(system, system.blocks)
     row, indices, indptr = np.repeat(np.arange(3 * n), np.diff(W.indptr)), W.indices, W.indptr
     factor = np.ravel(kept)
     data = W.data * factor[row] * factor[indices]

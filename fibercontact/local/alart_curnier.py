@@ -8,7 +8,7 @@ from fibercontact.local.contract import Matrix, Option
 from fibercontact.local.newton import NEWTON_OPTIONS, Contact
 from fibercontact.problem.cone import Vector
 
-__all__ = ["ALART_CURNIER_OPTIONS", "alart_curnier"]
+__all__ = ["ALART_CURNIER_OPTIONS", "alart_curnier", "steps", "with_steps"]
 
 ALART_CURNIER_OPTIONS = NEWTON_OPTIONS | {
     "rho": Option(1.0, "factor of rho_N = 1/W_NN and rho_T = 1/lambda_max(W_TT)"),
@@ -31,9 +31,15 @@ def alart_curnier(c: Contact, r: Vector) -> tuple[Vector, Matrix]:
     The radius of the disc is `mu max(0, r_N - rho_N u_N)`, or `mu max(0, r_N)` with `disc = 1`.
     Reference: Alart and Curnier, CMAME 92, 1991.
     """
+    rho_N, rho_T = steps(c.W, c.rho)
+    return with_steps(c, r, rho_N, rho_T)
+
+
+@jit
+def with_steps(c: Contact, r: Vector, rho_N: float, rho_T: float) -> tuple[Vector, Matrix]:
+    """The same function for steps that are given."""
     W, mu = c.W, c.mu
     u = affine(W, r, c.b)
-    rho_N, rho_T = steps(W, c.rho)
     z_N = r[0] - rho_N * u[0]
     z1, z2 = r[1] - rho_T * u[1], r[2] - rho_T * u[2]
     length = math.sqrt(z1 * z1 + z2 * z2)

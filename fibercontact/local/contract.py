@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from fibercontact.problem.cone import COULOMB, Vector
 
-__all__ = ["HONEST", "KERNEL_SIGNATURE", "SENTENCES", "LocalSolver", "Matrix", "Option", "Status"]
+__all__ = ["HONEST", "KERNEL_SIGNATURE", "SENTENCES", "Declared", "LocalSolver", "Matrix", "Option", "Status"]
 
 Matrix = tuple[Vector, Vector, Vector]
 
@@ -78,20 +78,11 @@ class Option:
     meaning: str
 
 
-@dataclass(frozen=True)
-class LocalSolver:
-    """A kernel with its declaration. `facets` says which law it solves, `exact` what a claim of it is worth.
+class Declared:
+    """What declarations of local solvers and of global methods share: options, and a law that may be one of them."""
 
-    `facets` is a number (0: Coulomb's law), or the name of the option that holds it. With `exact=False` a visit is
-    a step towards the answer and `CONVERGED` no claim. A solver with a fall-back may declare what it tries `first`,
-    as a kernel: it is asked again afterwards, to tell where the fall-back was used.
-    """
-
-    kernel: Any
-    options: Mapping[str, Option] = field(default_factory=dict)
-    facets: int | str = COULOMB
-    exact: bool = True
-    first: Any = None
+    options: Mapping[str, Option]
+    facets: int | str
 
     def option_values(self, given: Mapping[str, float]) -> NDArray[np.float64]:
         """Option values in declared order; raises `ValueError` on a name that is not declared."""
@@ -112,3 +103,19 @@ class LocalSolver:
         if not 3 <= facets < math.inf or facets != int(facets):
             raise ValueError(f"option {self.facets!r} must be an integer >= 3, not {facets:g}")
         return int(facets)
+
+
+@dataclass(frozen=True)
+class LocalSolver(Declared):
+    """A kernel with its declaration. `facets` says which law it solves, `exact` what a claim of it is worth.
+
+    `facets` is a number (0: Coulomb's law), or the name of the option that holds it. With `exact=False` a visit is
+    a step towards the answer and `CONVERGED` no claim. A solver with a fall-back may declare what it tries `first`,
+    as a kernel: it is asked again afterwards, to tell where the fall-back was used.
+    """
+
+    kernel: Any
+    options: Mapping[str, Option] = field(default_factory=dict)
+    facets: int | str = COULOMB
+    exact: bool = True
+    first: Any = None

@@ -1,0 +1,1 @@
+"""Methods for all contacts at once, one file each: what one might use instead of sweeps."""
