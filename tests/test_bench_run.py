@@ -267,7 +267,7 @@ ANSWERS = {
     "returns_nothing": "pass",
     "raises": "raise KeyError('no such contact')",
     "is_unsuited": "raise Unsuited(f'for at most 1 contact, not {len(system.mu)}')",
-    "overwrites": "system.rows[:] = 0.0; system.b[:] = 0.0; return Answer(r, False, 1)",
+    "overwrites": "system.blocks[:] = 0.0; system.b[:] = 0.0; return Answer(r, False, 1)",
     "loops": "\n    while True: pass",
     "dies": "os._exit(3)",
 }

@@ -24,9 +24,10 @@ from fibercontact.gauss_seidel.blocks import BlockSystem, block_system
 from fibercontact.gauss_seidel.solver import LOOPS, GaussSeidel, Outcome, Run, Visits
 from fibercontact.gauss_seidel.visit_log import new_log
 from fibercontact.global_methods.contract import Answer, Task, Unsuited
-from fibercontact.global_methods.registry import AnyConfigured, ConfiguredMethod, configure, registered
+from fibercontact.global_methods.registry import AnyConfigured, ConfiguredMethod
 from fibercontact.local.contract import Status
 from fibercontact.local.registry import Configured
+from fibercontact.peers.registry import configure, registered
 from fibercontact.problem.fclib import FclibFile, read, write
 from fibercontact.problem.incremental import IncrementalProblem, ProblemWarning
 from fibercontact.problem.measure import Measure, measure

@@ -67,7 +67,8 @@ def solve(
         _check_output(file, log_file)
         from fibercontact.bench.passes import gauss_seidel, lay_out, starting_impulse
         from fibercontact.bench.protocol import BenchError, Limits
-        from fibercontact.global_methods.registry import ConfiguredMethod, configure, registered
+        from fibercontact.global_methods.registry import ConfiguredMethod
+        from fibercontact.peers.registry import configure, registered
         from fibercontact.problem.fclib import read
 
         chosen = configure(solver, registered(plugin or []))

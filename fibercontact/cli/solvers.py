@@ -21,7 +21,8 @@ def solvers(plugin: Plugins = None) -> None:
     Example: fibercontact solvers --plugin my_solver.py
     """
     with user_errors():
-        from fibercontact.global_methods.registry import configure, is_global, registered
+        from fibercontact.global_methods.registry import configure, is_global
+        from fibercontact.peers.registry import registered
 
         known = registered(plugin or [])
         for name in sorted(known, key=lambda name: (is_global(known[name]), name)):

@@ -38,6 +38,12 @@ def table(
     all_global: Annotated[
         bool, typer.Option("--global", help="And all global methods: what one might use instead of sweeps.")
     ] = False,
+    peers: Annotated[
+        str | None,
+        typer.Option(
+            metavar="siconos,pinocchio", help="And other people's solvers, where they are installed."
+        ),
+    ] = None,
     plugin: Plugins = None,
     level: Annotated[
         int, typer.Option(help="3: whole problems. 1: one-contact problems, each solved once.", min=1, max=3)
@@ -88,6 +94,8 @@ def table(
 
     fibercontact table --solvers secular --global --accuracy mid
 
+    fibercontact table --solvers secular --peers siconos,pinocchio --accuracy mid
+
     fibercontact table --level 1
     """
     with user_errors():
@@ -97,9 +105,9 @@ def table(
         check_known("outer loop", [outer], OUTERS)
         check_known("log", [log] if log else [], LOGS)
         if level == 1:
-            if accuracy or rates or log or all_global:
+            if accuracy or rates or log or all_global or peers:
                 raise BenchError(
-                    "--accuracy, --rates, --log and --global belong to level 3: "
+                    "--accuracy, --rates, --log, --peers and --global belong to level 3: "
                     "at level 1 each contact is solved once"
                 )
             one_contact_table(
@@ -119,7 +127,7 @@ def table(
         entries = limited(load_set(folder), limit)
         plan = Plan(
             entries,
-            _configured(solvers, plugin or [], all_global),
+            _configured(solvers, plugin or [], all_global, _of_peers(peers)),
             timed=_ordered(accuracy if accuracy or rates else ["low"]),
             rates=_ordered([level for level in rates or [] if level not in (accuracy or [])]),
             start=start,
@@ -151,16 +159,37 @@ def _local(solvers: str | None, plugins: Sequence[Path]) -> "list[Configured]":
     return [configure(text, known) for text in _with_plugins(given, known, plugins)]
 
 
-def _configured(solvers: str | None, plugins: Sequence[Path], all_global: bool) -> "list[AnyConfigured]":
+def _configured(
+    solvers: str | None, plugins: Sequence[Path], all_global: bool, of_peers: Sequence[str]
+) -> "list[AnyConfigured]":
     """The solvers asked for, by default all local ones, the talk's first; those of plugins always."""
-    from fibercontact.global_methods.registry import configure, is_global, registered
+    from fibercontact.global_methods.registry import is_global
+    from fibercontact.peers.registry import configure, registered
 
     known = registered(plugins)
     local = [name for name in known if not is_global(known[name])]
     given = split_solvers(solvers) if solvers is not None else [*DEFAULT_SOLVERS, *local]
     methods = [name for name in known if is_global(known[name]) and known[name].origin == "built in"]
     given += methods if all_global else []
-    return [configure(text, known) for text in _with_plugins(given, known, plugins)]
+    return [configure(text, known) for text in _with_plugins([*given, *of_peers], known, plugins)]
+
+
+def _of_peers(names: str | None) -> list[str]:
+    """Specifications of the solvers of the peers that are here, and a line for each that is not."""
+    from fibercontact.peers.catalogue import PEERS, specifications
+    from fibercontact.peers.peer import Missing
+
+    found: list[str] = []
+    given = split_solvers(names or "")
+    check_known("peer", given, list(PEERS))
+    for name in given:
+        try:
+            PEERS[name].find()
+        except Missing as missing:
+            typer.echo(f"skipped: {missing}", err=True)
+        else:
+            found += specifications(name)
+    return found
 
 
 def _with_plugins(
