@@ -15,9 +15,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from assemblies import strands
 from matplotlib.figure import Figure
-from sweep_cost import strands
 
+from fibercontact.bench.environment import one_thread
 from fibercontact.bench.figures import COLOURS, save
 from fibercontact.bench.problem_set import find_set, limited, load_set
 from fibercontact.gauss_seidel.solver import LOOPS, GaussSeidel
@@ -101,12 +102,13 @@ def main() -> None:
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     found: list[dict[str, object]] = []
-    for source, name, problem in problems(given):
-        solve(problem, "robust", 1e-1) if not found else None  # compiles
-        for loop, tolerance in ASKED:
-            found.append(
-                {"set": source, "problem": name, "contacts": problem.n} | solve(problem, loop, tolerance)
-            )
+    with one_thread():
+        for source, name, problem in problems(given):
+            solve(problem, "robust", 1e-1) if not found else None  # compiles
+            for loop, tolerance in ASKED:
+                found.append(
+                    {"set": source, "problem": name, "contacts": problem.n} | solve(problem, loop, tolerance)
+                )
     rows = pd.DataFrame(found)
     rows.to_csv(given.out / "rows.csv", index=False, float_format="%.4g")
     table = summary(rows)

@@ -9,6 +9,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "experiments"
 SMALL = {
+    "assemblies.py": ["--contacts", "60"],
     "sweep_cost.py": ["--contacts", "60", "--repetitions", "1", "--solvers", "secular,pyramid"],
     "reference_methods.py": ["--problems", "6", "--max-contacts", "60", "--seconds", "0.5"],
     "one_contact_failures.py": [
@@ -23,6 +24,7 @@ SMALL = {
     "scaling.py": ["--fibres", "40,60,90", "--models", "helix", "--steps", "24", "--out", "figure"],
     "rod_convergence.py": ["--most", "8", "--out", "figure"],
     "outer_loops.py": ["--limit", "2", "--out", "figure"],
+    "speed.py": ["--most", "200", "--repetitions", "1", "--out", "figure"],
     "global_methods.py": ["--limit", "1", "--methods", "apgd,newton-ac,interior-point", "--out", "figure"],
     "penalty.py": ["--time", "0.01", "--stiffness", "300", "--fibres", "2", "--out", "figure"],
     "rod_validation.py": ["--elements", "6,8", "--bends", "8", "--curve", "1", "--out", "figure"],

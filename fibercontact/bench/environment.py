@@ -13,7 +13,10 @@ import fibercontact
 __all__ = ["cpu_model", "load", "one_thread", "usable_cores", "versions"]
 
 ONE_THREAD = dict.fromkeys(
-    ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
+    (
+        "FIBERCONTACT_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+    ), "1",
 )
 
 
@@ -61,7 +64,7 @@ def usable_cores() -> list[int]:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Processes started inside use one thread in numba and BLAS."""
+    """What runs inside, and processes started there, use one thread, in numba and BLAS too."""
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(ONE_THREAD)
     try:

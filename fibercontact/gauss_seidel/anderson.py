@@ -46,8 +46,8 @@ class Memory(NamedTuple):
 class Acceleration:
     """Settings: sweeps a map, maps remembered, Tikhonov term relative to the largest normal-equation entry."""
 
-    sweeps: int = 2
-    window: int = 5
+    sweeps: int = 3
+    window: int = 8
     tikhonov: float = 1e-12
 
     def memory(self, size: int) -> Memory:
