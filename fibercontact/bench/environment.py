@@ -14,9 +14,13 @@ __all__ = ["cpu_model", "load", "one_thread", "usable_cores", "versions"]
 
 ONE_THREAD = dict.fromkeys(
     (
-        "FIBERCONTACT_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS",
+        "FIBERCONTACT_THREADS",
+        "NUMBA_NUM_THREADS",
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
         "MKL_NUM_THREADS",
-    ), "1",
+    ),
+    "1",
 )
 
 
