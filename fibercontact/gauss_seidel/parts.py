@@ -136,6 +136,8 @@ def _count(reach: NDArray[np.int64], work: NDArray[np.int64], taken: NDArray[np.
 
 def owners(parts: Parts, starts: Index, threads: int) -> Index:
     """Which of some threads takes each part: phase by phase the longest first, to who has least [Graham 1969]."""
+    if threads == 1:
+        return np.zeros(len(parts.parts) - 1, np.int32)
     work = np.diff(starts)[parts.order] + VISIT
     sizes = np.add.reduceat(np.append(work, 0), parts.parts[:-1]) * (np.diff(parts.parts) > 0)
     owner = np.zeros(len(sizes), np.int32)
