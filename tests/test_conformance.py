@@ -152,7 +152,30 @@ def test_a_fault_is_seen_by_the_checks_that_should(tmp_path, name):
 
 def test_the_faults_make_every_check_fail():
     seen = set().union(*(expected for _, expected in FAULTS.values()))
-    assert seen == set(REQUIRED) - {"declared", "compiles"}  # which have tests below
+    assert seen == set(REQUIRED) - {"declared", "compiles", "several"}  # which have tests below
+
+
+@compiled
+@pytest.mark.parametrize(
+    ("fault", "kept"), [("", True), ("x = (x[0], x[1] * (1.0 + 3e-16), x[2])", False), ("k += 1", False)]
+)
+def test_several_contacts_at_once_have_the_kernels_bits(tmp_path, fault, kept):
+    local = configure(
+        "my-solver", registered([plugin(tmp_path, fault, declaration=", several=base.several")])
+    )
+    verdict = examine(local, "several")
+    assert verdict.outcome == (Outcome.PASS if kept else Outcome.FAIL)
+    if not kept:
+        assert "the kernel has" in verdict.sentence
+
+
+@compiled
+def test_a_kernel_for_several_contacts_that_does_not_compile_is_named(tmp_path):
+    local = configure(
+        "my-solver",
+        registered([plugin(tmp_path, declaration=", several=jit(lambda W, b, mu, r, options: r)")]),
+    )
+    assert "does not compile" in examine(local, "several").sentence
 
 
 STEP_FAULTS = {
@@ -345,6 +368,7 @@ def test_the_solver_to_start_from_passes(tmp_path, monkeypatch):
     assert "my-solver:max_iterations=300: the contract holds (cards/mine.md)" in result.stdout
     found = outcomes(tmp_path / "cards" / "mine.md")
     assert list(found) == list(CHECKS)
+    assert found.pop("several") == "not asked"
     assert set(found.values()) == {"pass", "reported"}
 
 

@@ -22,6 +22,7 @@ from fibercontact.gauss_seidel.visit_log import no_log
 from fibercontact.jit import jit
 from fibercontact.local.contract import LocalSolver, Status
 from fibercontact.local.registry import Configured, configure, registered
+from fibercontact.local.several import one_by_one
 from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.problem.measure import measure
 
@@ -67,6 +68,7 @@ def sweeps_from_zero(problem, name, count, proximal=0.0):
     (member,) = gather(1, np.zeros(1, np.int32))
     done, _, _ = run_sweeps(
         c.kernel(),
+        one_by_one,
         c.options,
         system,
         how,

@@ -9,7 +9,7 @@ import fibercontact
 from fibercontact.jit import KERNEL_ROOMS
 
 ROOMS = [
-    "errors", "jit", "threads", "rods", "contact", "problem", "local", "gauss_seidel", "global_methods", "peers",
+    "errors", "jit", "lanes", "threads", "rods", "contact", "problem", "local", "gauss_seidel", "global_methods", "peers",
     "simulation", "reference", "bench", "cli"
 ]  # fmt: skip
 ANYWHERE = "fibercontact"  # the package itself: its version and nothing else

@@ -26,7 +26,8 @@ from fibercontact.gauss_seidel.team import Team, alone, share, wait
 from fibercontact.gauss_seidel.vectors import STRIDE
 from fibercontact.gauss_seidel.visit_log import CURED, VisitLog
 from fibercontact.jit import jit
-from fibercontact.local.contract import KERNEL_SIGNATURE
+from fibercontact.local.contract import KERNEL_SIGNATURE, SEVERAL_SIGNATURE
+from fibercontact.local.several import one_by_one
 from fibercontact.problem.cone import project
 
 __all__ = ["MARK", "State", "compile_loop", "new_guard", "new_state", "run_sweeps", "scale_impulse"]
@@ -145,6 +146,7 @@ def watch(guard: Array, residual: float, failures: int) -> None:
 @jit
 def run_sweeps(
     kernel: Any,
+    several: Any,
     options: Array,
     s: BlockSystem,
     how: Sweeper,
@@ -168,7 +170,19 @@ def run_sweeps(
     first, end = share(len(s.b), team)
     while done < budget:
         sweep(
-            kernel, options, s, state.parts, how, guard[0], team, state.r, state.u, state.still, visits, log
+            kernel,
+            several,
+            options,
+            s,
+            state.parts,
+            how,
+            guard[0],
+            team,
+            state.r,
+            state.u,
+            state.still,
+            visits,
+            log,
         )
         done += 1
         map_ends = how.period > 0 and done % how.period == 0
@@ -205,12 +219,13 @@ _F, _I, _VECTOR, _INDEX, _MATRIX, _COUNTS, _TABLE = (
     types.float64, types.int64, types.float64[::1], types.int32[::1], types.float64[:, ::1], types.int64[::1],
     types.int64[:, ::1],
 )  # fmt: skip
-_PARTS = types.NamedUniTuple(_INDEX, 6, Parts)
+_PARTS = types.NamedUniTuple(_INDEX, 7, Parts)
 _SIGNATURE = types.Tuple((_I, _F, types.boolean))(
     types.FunctionType(KERNEL_SIGNATURE),
+    types.FunctionType(SEVERAL_SIGNATURE),
     _VECTOR,
     types.NamedTuple((_INDEX, _INDEX, _VECTOR, _MATRIX, *3 * (_VECTOR,), _PARTS), BlockSystem),
-    types.NamedTuple((_I, _F, _F, _I, _I, _F, types.boolean), Sweeper),
+    types.NamedTuple((_I, _F, _F, _I, _I, _F, types.boolean, _I), Sweeper),
     types.NamedTuple((_PARTS, *4 * (_VECTOR,), types.float64[:, :, ::1], _COUNTS), State),
     types.NamedTuple((_I, _I, _COUNTS, _INDEX), Team),
     types.NamedTuple((_MATRIX, _MATRIX, *4 * (_VECTOR,), _MATRIX, _VECTOR), Memory),
@@ -224,5 +239,7 @@ def compile_loop() -> None:
     """Compile `run_sweeps` for every local solver at once, or read it from the disk cache."""
     if config.DISABLE_JIT or run_sweeps.signatures:
         return
+    one_by_one.compile(SEVERAL_SIGNATURE)
+    one_by_one.disable_compile()
     run_sweeps.compile(_SIGNATURE)
     run_sweeps.disable_compile()

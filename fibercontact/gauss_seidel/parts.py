@@ -20,6 +20,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from fibercontact.jit import jit
+from fibercontact.lanes import LANES
 
 __all__ = ["Parts", "divide", "owners", "undivided"]
 
@@ -29,6 +30,8 @@ LEAF = 2048
 """Contacts of a leaf, about."""
 SHORTEST = 256
 """Contacts of a separator from which it is bisected itself."""
+TOGETHER, AHEAD = 2 * LANES, 128
+"""Contacts that are put together, since some will be left out, and among how many they are sought."""
 VISIT = 10
 """Blocks whose push takes as long as to solve a contact."""
 SMALLEST = 3000
@@ -44,19 +47,26 @@ class Parts(NamedTuple):
     targets: Index  # (blocks,) where the push of each block goes: to its column, or to n + a slot
     slots: Index  # (slots,) contact that each slot is for, slots of a phase together
     flushes: Index  # (phases+1,) first slot of each phase
-
-
-def undivided(columns: Index, n: int) -> Parts:
-    """All n contacts in one part, visited in order."""
-    none, one = np.zeros(0, np.int32), np.array([0, 1], np.int32)
-    return Parts(
-        np.arange(n, dtype=np.int32), np.array([0, n], np.int32), one, columns, none, np.zeros(2, np.int32)
+    meets: (
+        Index  # (n,) of each visit, the first later one that it has an influence on, or the end of the part
     )
 
 
+def undivided(columns: Index, n: int) -> Parts:
+    """All n contacts in one part, visited in order and one at a time."""
+    none, one = np.zeros(0, np.int32), np.array([0, 1], np.int32)
+    order = np.arange(n, dtype=np.int32)
+    return Parts(order, np.array([0, n], np.int32), one, columns, none, np.zeros(2, np.int32), order + 1)
+
+
 def divide(starts: Index, columns: Index) -> Parts:
-    """Divide the contacts of block rows `starts`, `columns`."""
-    n = len(starts) - 1
+    """Divide the contacts of block rows `starts`, `columns`, and spread each part."""
+    parts = _divided(starts, columns, len(starts) - 1)
+    _spread(starts, columns, parts.parts, parts.order, parts.meets)
+    return parts
+
+
+def _divided(starts: Index, columns: Index, n: int) -> Parts:
     if n < SMALLEST:
         return undivided(columns, n)
     graph = csr_array((np.ones(len(columns), np.int8), columns, starts), shape=(n, n))
@@ -69,7 +79,40 @@ def divide(starts: Index, columns: Index) -> Parts:
     part_of = np.empty(n, np.int32)
     part_of[order] = np.repeat(np.arange(len(parts), dtype=np.int32), np.diff(first_visits))
     phase_of = np.searchsorted(phases, np.arange(len(parts)), side="right").astype(np.int32) - 1
-    return Parts(order, first_visits, phases, *_slots(starts, columns, part_of, phase_of))
+    return Parts(
+        order, first_visits, phases, *_slots(starts, columns, part_of, phase_of), np.zeros(n, np.int32)
+    )
+
+
+@jit
+def _spread(starts: Index, columns: Index, parts: Index, order: Index, meets: Index) -> None:
+    """Put next to each other contacts of a part that do not interact, `TOGETHER` of them at a time.
+
+    They are sought among the next `AHEAD`, so that a sweep's order is changed but locally.
+    """
+    n = len(order)
+    group, place, later = np.full(n, -1, np.int32), np.full(n, n, np.int32), np.full(n + 1, n, np.int32)
+    for part in range(len(parts) - 1):
+        first, end = parts[part], parts[part + 1]
+        later[first:end] = end
+        left, head, done = order[first:end].copy(), 0, first
+        while done < end:
+            began, k, kept = done, head, 0
+            while k < len(left) and done - began < TOGETHER and kept < AHEAD:
+                i = left[k]
+                if i >= 0 and group[i] == began:
+                    kept += 1
+                elif i >= 0:
+                    for j in range(starts[i], starts[i + 1]):
+                        other = columns[j]
+                        group[other] = began
+                        later[place[other]] = min(later[place[other]], done)
+                    order[done], place[i], left[k] = i, done, -1
+                    done += 1
+                k += 1
+            while head < len(left) and left[head] < 0:
+                head += 1
+    meets[:] = later[:n]
 
 
 def _bisect(graph: csr_array, work: NDArray[np.int64], contacts: Index, depth: int) -> list[list[Index]]:

@@ -27,8 +27,10 @@ from fibercontact.gauss_seidel.parts import Parts, owners, undivided
 from fibercontact.gauss_seidel.sweep import COUNTERS, Sweeper
 from fibercontact.gauss_seidel.team import Team, alone, gather
 from fibercontact.gauss_seidel.visit_log import VisitLog, check_log, no_log
+from fibercontact.lanes import LANES
 from fibercontact.local.contract import Status
 from fibercontact.local.registry import Configured
+from fibercontact.local.several import one_by_one
 from fibercontact.problem.cone import COULOMB
 from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.problem.measure import relative
@@ -181,7 +183,7 @@ class GaussSeidel:
         if log is not None:
             check_log(log, len(system.mu))
         compile_loop()
-        kernel, options = self.local.kernel(), self.local.options
+        kernel, several, options = self.local.kernel(), self.local.several(), self.local.options
         began = time.perf_counter()
         how, parts = self._sweeper(b_ref), self._parts(system)
         threads = 1 if log is not None else _threads(parts)
@@ -195,7 +197,7 @@ class GaussSeidel:
         done, reached, elapsed, slice_, rescue = 0, best <= how.target, 0.0, self.check_every, 0
         while not reached and math.isfinite(best) and done < self.max_sweeps and elapsed < self.max_seconds:
             end = min(self.max_sweeps, rescue_at if done < rescue_at else self.max_sweeps, done + slice_)
-            sweeps = partial(run_sweeps, kernel, options, system, how, state)
+            sweeps = partial(run_sweeps, kernel, several or one_by_one, options, system, how, state)
             calls = [partial(sweeps, *member, *rest, best, done, end) for member in members]
             done, best, reached = together(calls)[0]
             if done == rescue_at and not reached and math.isfinite(best):
@@ -211,6 +213,12 @@ class GaussSeidel:
     def _parts(self, system: BlockSystem) -> Parts:
         """Plain sweeps are the textbook's: contact by contact, in the order of the problem."""
         return system.parts if self.acceleration else undivided(system.columns, len(system.mu))
+
+    @property
+    def _width(self) -> int:
+        """Contacts solved at once: the textbook's sweeps and interpreted kernels take one."""
+        can = self.local.registered.solver.several is not None and not config.DISABLE_JIT
+        return LANES if can and self.acceleration else 1
 
     @property
     def _window(self) -> int:
@@ -261,6 +269,7 @@ class GaussSeidel:
             period,
             tikhonov,
             self.acceleration is None,
+            self._width,
         )
 
     def _slice(self, done: int, elapsed: float) -> int:

@@ -17,7 +17,8 @@ from fibercontact.gauss_seidel.parts import Parts
 from fibercontact.gauss_seidel.team import Team
 from fibercontact.gauss_seidel.vectors import STRIDE, add_block
 from fibercontact.gauss_seidel.visit_log import VisitLog, end_sweep, record, record_left_out
-from fibercontact.jit import jit
+from fibercontact.jit import jit, jit_inline
+from fibercontact.lanes import LANES, load, store
 from fibercontact.local.algebra import OPEN, SLIP, STICK
 from fibercontact.local.contract import Matrix, Status
 from fibercontact.problem.cone import Vector, natural_map, norm, project
@@ -35,6 +36,12 @@ ITERATIONS, LEFT_OUT = LAST_FAILURE + 4, LAST_FAILURE + 5
 STICK_MARGIN = 1.0 - 1e-9
 """Share of `mu r_N` below which `|r_T|` counts as stick in the statistics."""
 
+FEW = 3
+"""Contacts from which on it is worth while to solve them at once."""
+
+V, R, MU, PROXIMAL, DONE, STEPS, ROWS = 9, 12, 15, 16, 17, 18, 19
+"""Rows of the table of contacts that are solved at once, `LANES` numbers each; those before are `W_ii`."""
+
 Array = NDArray[np.float64]
 
 
@@ -48,6 +55,7 @@ class Sweeper(NamedTuple):
     period: int  # sweeps a map of the Anderson acceleration, 0 for none
     tikhonov: float  # of the acceleration
     everyone: bool  # whether the local solver is asked where the answer is known to be the impulse of before
+    width: int  # contacts that are solved at once, if the local solver can: LANES, or 1
 
 
 @jit
@@ -99,9 +107,34 @@ def regime(r: Vector, mu: float) -> int:
     return STICK if r[1] * r[1] + r[2] * r[2] < limit * limit else SLIP
 
 
+@jit_inline
+def contact_matrix(diagonal: Array, i: int) -> Matrix:
+    """`W_ii`."""
+    return (
+        (diagonal[i, 0], diagonal[i, 1], diagonal[i, 2]),
+        (diagonal[i, 3], diagonal[i, 4], diagonal[i, 5]),
+        (diagonal[i, 6], diagonal[i, 7], diagonal[i, 8]),
+    )
+
+
+@jit_inline
+def several_answers(several: Any, table: Array, options: Array) -> Any:
+    """Solve the contacts in the table: `(done, r, iterations)` of each."""
+    W = (
+        (load(table, 0), load(table, LANES), load(table, 2 * LANES)),
+        (load(table, 3 * LANES), load(table, 4 * LANES), load(table, 5 * LANES)),
+        (load(table, 6 * LANES), load(table, 7 * LANES), load(table, 8 * LANES)),
+    )
+    v = (load(table, V * LANES), load(table, (V + 1) * LANES), load(table, (V + 2) * LANES))
+    r = (load(table, R * LANES), load(table, (R + 1) * LANES), load(table, (R + 2) * LANES))
+    W, b = local_problem(W, v, r, load(table, PROXIMAL * LANES))
+    return several(W, b, load(table, MU * LANES), r, options)
+
+
 @jit
 def sweep_part(
     kernel: Any,
+    several: Any,
     options: Array,
     s: BlockSystem,
     parts: Parts,
@@ -119,54 +152,85 @@ def sweep_part(
     Unless everyone is asked, a contact is left out that is open and separates, which no law changes; and one whose
     velocity is, but for what is negligible, the one `still` at which its last visit changed nothing.
 
+    Contacts that do not interact are solved at once, up to `how.width` of them. Where that gives no answer, and
+    where they are few, they are solved one by one; the impulses are the same.
+
     No function that takes an array is called in the loop: to count its references would take longer than a push.
     """
-    starts, blocks, order, targets = s.starts, s.blocks, parts.order, parts.targets
+    starts, blocks, order, targets, meets = s.starts, s.blocks, parts.order, parts.targets, parts.meets
     diagonal, friction, sizes, logged = s.diagonal, s.mu, s.sigma, len(log.by_contact) > 0
-    for visit in range(parts.parts[part], parts.parts[part + 1]):
-        i = order[visit]
-        at = STRIDE * i
-        old = (r[3 * i], r[3 * i + 1], r[3 * i + 2])
-        v = (u[at], u[at + 1], u[at + 2])
-        if not how.everyone:
-            since = max(abs(v[0] - still[at]), abs(v[1] - still[at + 1]), abs(v[2] - still[at + 2]))
-            if since <= how.negligible or (old[0] == 0.0 and v[0] >= 0.0):
-                counts[LEFT_OUT] += 1
-                found = regime(old, friction[i])
-                counts[LAST_FAILURE + 1 + found] += 1
-                if logged:
-                    record_left_out(log, found)
-                continue
-        mu, sigma = friction[i], sizes[i]
-        W_ii = (
-            (diagonal[i, 0], diagonal[i, 1], diagonal[i, 2]),
-            (diagonal[i, 3], diagonal[i, 4], diagonal[i, 5]),
-            (diagonal[i, 6], diagonal[i, 7], diagonal[i, 8]),
-        )
-        W, b = local_problem(W_ii, v, old, proximal * sigma)
-        status, new, iterations = kernel(W, b, mu, old, options)
-        if status != CONVERGED or not math.isfinite(new[0] + new[1] + new[2]):
-            status = min(max(status, FIRST_FAILURE), LAST_FAILURE)
-            new = tempered(W, b, mu, sigma, old, new, how.facets)
-        found = regime(new, mu)
-        counts[status] += 1
-        counts[LAST_FAILURE + 1 + found] += 1
-        counts[ITERATIONS] += iterations
-        if logged:
-            record(log, i, status, iterations, found, W, b, mu, old, new)
-        d0, d1, d2 = new[0] - old[0], new[1] - old[1], new[2] - old[2]
-        if sigma * max(abs(d0), abs(d1), abs(d2)) > how.negligible:
-            r[3 * i], r[3 * i + 1], r[3 * i + 2] = new[0], new[1], new[2]
-            for j in range(starts[i], starts[i + 1]):
-                add_block(u, STRIDE * targets[j], blocks, 9 * j, d0, d1, d2)
-            still[at] = math.inf
-        else:
-            still[at], still[at + 1], still[at + 2] = v
+    visit, end = parts.parts[part], parts.parts[part + 1]
+    together, table = np.zeros(LANES, np.int64), np.ones(ROWS * LANES)
+    while visit < end:
+        count, limit = 0, end
+        while visit < limit and count < how.width:
+            i, meeting = order[visit], meets[visit]
+            visit += 1
+            at = STRIDE * i
+            v = (u[at], u[at + 1], u[at + 2])
+            old = (r[3 * i], r[3 * i + 1], r[3 * i + 2])
+            if not how.everyone:
+                since = max(abs(v[0] - still[at]), abs(v[1] - still[at + 1]), abs(v[2] - still[at + 2]))
+                if since <= how.negligible or (old[0] == 0.0 and v[0] >= 0.0):
+                    counts[LEFT_OUT] += 1
+                    found = regime(old, friction[i])
+                    counts[LAST_FAILURE + 1 + found] += 1
+                    if logged:
+                        record_left_out(log, found)
+                    continue
+            together[count] = i
+            if how.width > 1:
+                for k in range(9):
+                    table[k * LANES + count] = diagonal[i, k]
+                for k in range(3):
+                    table[(V + k) * LANES + count] = v[k]
+                    table[(R + k) * LANES + count] = old[k]
+                table[MU * LANES + count] = friction[i]
+                table[PROXIMAL * LANES + count] = proximal * sizes[i]
+            count += 1
+            limit = min(limit, meeting)
+        if count >= FEW:
+            done, answers, steps = several_answers(several, table, options)
+            for k in range(3):
+                store(table, (R + k) * LANES, answers[k])
+            store(table, DONE * LANES, done)
+            store(table, STEPS * LANES, steps)
+        for lane in range(count):
+            i = together[lane]
+            at, mu, sigma = STRIDE * i, friction[i], sizes[i]
+            v = (u[at], u[at + 1], u[at + 2])
+            old = (r[3 * i], r[3 * i + 1], r[3 * i + 2])
+            status, iterations = CONVERGED, 0
+            if count >= FEW and table[DONE * LANES + lane] == 1.0:
+                new = (table[R * LANES + lane], table[(R + 1) * LANES + lane], table[(R + 2) * LANES + lane])
+                iterations = int(table[STEPS * LANES + lane])
+            else:
+                W, b = local_problem(contact_matrix(diagonal, i), v, old, proximal * sigma)
+                status, new, iterations = kernel(W, b, mu, old, options)
+                if status != CONVERGED or not math.isfinite(new[0] + new[1] + new[2]):
+                    status = min(max(status, FIRST_FAILURE), LAST_FAILURE)
+                    new = tempered(W, b, mu, sigma, old, new, how.facets)
+            found = regime(new, mu)
+            counts[status] += 1
+            counts[LAST_FAILURE + 1 + found] += 1
+            counts[ITERATIONS] += iterations
+            if logged:
+                W, b = local_problem(contact_matrix(diagonal, i), v, old, proximal * sigma)
+                record(log, i, status, iterations, found, W, b, mu, old, new)
+            d0, d1, d2 = new[0] - old[0], new[1] - old[1], new[2] - old[2]
+            if sigma * max(abs(d0), abs(d1), abs(d2)) > how.negligible:
+                r[3 * i], r[3 * i + 1], r[3 * i + 2] = new[0], new[1], new[2]
+                for j in range(starts[i], starts[i + 1]):
+                    add_block(u, STRIDE * targets[j], blocks, 9 * j, d0, d1, d2)
+                still[at] = math.inf
+            else:
+                still[at], still[at + 1], still[at + 2] = v
 
 
 @jit
 def sweep(
     kernel: Any,
+    several: Any,
     options: Array,
     s: BlockSystem,
     parts: Parts,
@@ -187,6 +251,6 @@ def sweep(
     for phase in range(len(parts.phases) - 1):
         for part in range(parts.phases[phase], parts.phases[phase + 1]):
             if team.owner[part] == team.rank:
-                sweep_part(kernel, options, s, parts, how, proximal, part, r, u, still, counts, log)
+                sweep_part(kernel, several, options, s, parts, how, proximal, part, r, u, still, counts, log)
         flush(parts, phase, team, u)
     end_sweep(log, s.sigma, r)

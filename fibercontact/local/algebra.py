@@ -4,6 +4,7 @@ import math
 from typing import NamedTuple
 
 from fibercontact.jit import jit
+from fibercontact.lanes import ratio
 from fibercontact.local.contract import Matrix
 from fibercontact.problem.cone import COULOMB, Vector, natural_map, norm
 
@@ -20,12 +21,15 @@ __all__ = [
     "affine",
     "eliminate_normal",
     "is_finite",
+    "is_regular",
     "law_residual",
     "meets",
     "open_or_stick",
+    "separates",
     "slip_impulse",
     "solve3",
     "stick_impulse",
+    "stopping_impulse",
 ]
 
 OPEN, STICK, SLIP = 0, 1, 2
@@ -79,11 +83,15 @@ def is_finite(W: Matrix, b: Vector, mu: float) -> bool:
 
     `W` is symmetric, so its lower triangle is looked at.
     """
-    if b[0] < 0.0 and not (W[0][0] > 0.0 and math.isfinite(b[0] / W[0][0])):
-        return False
-    return math.isfinite(
-        ((W[0][0] + W[1][1]) + (W[2][2] + W[1][0])) + ((W[2][0] + W[2][1]) + (b[0] + b[1])) + (b[2] + mu)
-    )
+    stops = (W[0][0] > 0.0) & (abs(ratio(b[0], W[0][0], math.inf)) < math.inf)
+    total = ((W[0][0] + W[1][1]) + (W[2][2] + W[1][0])) + ((W[2][0] + W[2][1]) + (b[0] + b[1])) + (b[2] + mu)
+    return ((b[0] >= 0.0) | stops) & (abs(total) < math.inf)
+
+
+@jit
+def separates(b: Vector) -> bool:
+    """Whether the contact takes off without an impulse, but for rounding."""
+    return b[0] >= -GRAZING * (abs(b[1]) + abs(b[2]))
 
 
 @jit
@@ -143,18 +151,25 @@ def eliminate_normal(W: Matrix, b: Vector) -> Tangential:
     A11 = W[1][1] - w1 * w1 * inverse
     A12 = W[1][2] - w1 * w2 * inverse
     A22 = W[2][2] - w2 * w2 * inverse
-    ratio = b[0] * inverse
+    r_N = -b[0] * inverse
     return Tangential(
         W[0][0], b[0], w1, w2, A11, A12, A22,
-        b[1] - ratio * w1, b[2] - ratio * w2, A11 + A22, max(0.0, A11 * A22 - A12 * A12),
+        b[1] + r_N * w1, b[2] + r_N * w2, A11 + A22, max(0.0, A11 * A22 - A12 * A12),
     )  # fmt: skip
+
+
+@jit
+def is_regular(t: Tangential) -> bool:
+    """Whether `W̄` is not singular, by the ratio of its determinant to the square of its trace."""
+    trace = t.trace * t.W_NN + t.w1 * t.w1 + t.w2 * t.w2  # W_NN tr(W_TT)
+    return t.det * t.W_NN > SINGULAR * trace * abs(t.trace)
 
 
 @jit
 def slip_impulse(t: Tangential, alpha: float) -> Vector:
     """The impulse with `u_N = 0` and `u_T = -alpha r_T`: `(W̄ + alpha I) r_T = -b̄`."""
     det = t.det + alpha * (t.trace + alpha)
-    scale = -1.0 / det if det != 0.0 else -math.inf
+    scale = ratio(-1.0, det, -math.inf)
     r1 = scale * ((t.A22 + alpha) * t.c1 - t.A12 * t.c2)
     r2 = scale * ((t.A11 + alpha) * t.c2 - t.A12 * t.c1)
     return (-(t.b_N + t.w1 * r1 + t.w2 * r2) / t.W_NN, r1, r2)
@@ -177,9 +192,9 @@ def stick_impulse(t: Tangential, b: Vector) -> tuple[bool, Vector]:
     A singular `W̄` is shifted: when `b̄` is in its range the impulse stays bounded, when it is not the contact
     cannot be stopped. With `W_TT = 0` any shift does.
     """
-    trace = t.trace * t.W_NN + t.w1 * t.w1 + t.w2 * t.w2  # W_NN tr(W_TT)
-    if t.det * t.W_NN > SINGULAR * trace * abs(t.trace):
+    if is_regular(t):
         return True, stopping_impulse(t, 0.0)
+    trace = t.trace * t.W_NN + t.w1 * t.w1 + t.w2 * t.w2
     shift = SHIFT * trace / t.W_NN if trace > 0.0 else t.W_NN
     r = stopping_impulse(t, shift)
     return shift * math.sqrt(r[1] * r[1] + r[2] * r[2]) <= LEFT_OVER * norm(b), r
@@ -191,7 +206,7 @@ def open_or_stick(t: Tangential, b: Vector, mu: float) -> tuple[int, Vector]:
 
     Without friction the answer is the complementarity in the normal direction alone; `SLIP` is not returned.
     """
-    if b[0] >= -GRAZING * (abs(b[1]) + abs(b[2])):
+    if separates(b):
         return OPEN, (0.0, 0.0, 0.0)
     if mu <= FRICTIONLESS:
         return STICK, (-b[0] / t.W_NN, 0.0, 0.0)

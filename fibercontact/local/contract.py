@@ -32,9 +32,13 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from fibercontact.lanes import Lanes
 from fibercontact.problem.cone import COULOMB, Vector
 
-__all__ = ["HONEST", "KERNEL_SIGNATURE", "SENTENCES", "Declared", "LocalSolver", "Matrix", "Option", "Status"]
+__all__ = [
+    "HONEST", "KERNEL_SIGNATURE", "SENTENCES", "SEVERAL_SIGNATURE", "Declared", "LocalSolver", "Matrix", "Option",
+    "Status",
+]  # fmt: skip
 
 Matrix = tuple[Vector, Vector, Vector]
 
@@ -44,6 +48,10 @@ HONEST = 1e-6
 _VECTOR = types.UniTuple(types.float64, 3)
 KERNEL_SIGNATURE = types.Tuple((types.int64, _VECTOR, types.int64))(
     types.UniTuple(_VECTOR, 3), _VECTOR, types.float64, _VECTOR, types.float64[::1]
+)
+_VECTORS = types.UniTuple(Lanes, 3)
+SEVERAL_SIGNATURE = types.Tuple((Lanes, _VECTORS, Lanes))(
+    types.UniTuple(_VECTORS, 3), _VECTORS, Lanes, _VECTORS, types.float64[::1]
 )
 
 
@@ -112,6 +120,10 @@ class LocalSolver(Declared):
     `facets` is a number (0: Coulomb's law), or the name of the option that holds it. With `exact=False` a visit is
     a step towards the answer and `CONVERGED` no claim. A solver with a fall-back may declare what it tries `first`,
     as a kernel: it is asked again afterwards, to tell where the fall-back was used.
+
+    A solver that is to be fast may declare how `several` contacts are solved at once, as a kernel of the same form on
+    `Lanes` (see `fibercontact.lanes`), which returns `(done, r, iterations)`. Where `done` is 1 the kernel would have
+    ended in `CONVERGED` with this impulse, bit for bit; where it is 0 the kernel is asked.
     """
 
     kernel: Any
@@ -119,3 +131,4 @@ class LocalSolver(Declared):
     facets: int | str = COULOMB
     exact: bool = True
     first: Any = None
+    several: Any = None

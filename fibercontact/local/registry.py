@@ -13,7 +13,7 @@ from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from fibercontact.local import methods
-from fibercontact.local.contract import KERNEL_SIGNATURE, LocalSolver
+from fibercontact.local.contract import KERNEL_SIGNATURE, SEVERAL_SIGNATURE, LocalSolver
 from fibercontact.local.loading import Registered, SolverError, built_in, installed, plugin, resolved
 
 __all__ = [
@@ -39,12 +39,19 @@ class Configured:
 
         Raises `SolverError` when the kernel does not compile to the signature of the contract.
         """
-        kernel = self.registered.solver.kernel
+        return self._compiled(self.registered.solver.kernel, KERNEL_SIGNATURE)
+
+    def several(self) -> Any:
+        """The compiled kernel for several contacts at once, None where the solver has none; raises `SolverError`."""
+        several = self.registered.solver.several
+        return several if several is None else self._compiled(several, SEVERAL_SIGNATURE)
+
+    def _compiled(self, kernel: Any, signature: Any) -> Any:
         if config.DISABLE_JIT:
             return kernel
         try:
             if not kernel.signatures:
-                kernel.compile(KERNEL_SIGNATURE)
+                kernel.compile(signature)
                 kernel.disable_compile()
         except AttributeError as error:
             raise SolverError(

@@ -8,6 +8,7 @@ algebraic processes] of the slip equations `u_N = 0`, `u_T + alpha r_T = 0`, `|r
 import math
 
 from fibercontact.jit import jit
+from fibercontact.lanes import ratio
 from fibercontact.local.algebra import Tangential, affine, law_residual, slip_impulse
 from fibercontact.local.contract import Matrix
 from fibercontact.problem.cone import Vector, norm
@@ -23,17 +24,17 @@ ENOUGH = 1e-12
 def on_cone(r: Vector, mu: float) -> Vector:
     """`r` with `r_T` scaled to the length `mu r_N`, which it has but for rounding."""
     size = math.sqrt(r[1] * r[1] + r[2] * r[2])
-    scale = mu * r[0] / size if size > 0.0 else 0.0
+    scale = ratio(mu * r[0], size, 0.0)
     return (r[0], scale * r[1], scale * r[2])
 
 
 @jit
 def response(t: Tangential, alpha: float, x: Vector) -> Vector:
     """`-(W + alpha diag(0, 1, 1))⁻¹ x`, by the elimination at hand."""
-    ratio = x[0] / t.W_NN
+    stop = x[0] / t.W_NN
     return slip_impulse(
         Tangential(t.W_NN, x[0], t.w1, t.w2, t.A11, t.A12, t.A22,
-                   x[1] - ratio * t.w1, x[2] - ratio * t.w2, t.trace, t.det),
+                   x[1] - stop * t.w1, x[2] - stop * t.w2, t.trace, t.det),
         alpha,
     )  # fmt: skip
 

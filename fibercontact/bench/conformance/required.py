@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
+from numba.core import config
 from numpy.typing import NDArray
 
 from fibercontact.bench.conformance.contacts import (
@@ -40,6 +41,7 @@ from fibercontact.bench.conformance.subject import (
 )
 from fibercontact.local.contract import HONEST, Status
 from fibercontact.local.registry import SolverError
+from fibercontact.local.several import solve_several
 from fibercontact.problem.cone import COULOMB, Vector, project
 
 __all__ = ["REQUIRED", "Check", "answers"]
@@ -274,6 +276,30 @@ def _not_passed_on(subject: Subject, contact: Contact) -> None:
         raise Broken(f"CONVERGED with the impulse {shown(answer.r)}", contact)
 
 
+def several(subject: Subject) -> str:
+    """Several contacts at once: what is done has the bits of the kernel's answer."""
+    local, contacts = subject.local, ordinary()
+    if local.registered.solver.several is None:
+        raise Unasked("it takes one contact at a time")
+    if config.DISABLE_JIT:
+        raise Unasked("without a compiler there is one at a time")
+    try:
+        done, found, iterations = solve_several(
+            local, *(np.array([getattr(c, name) for c in contacts]) for name in ("W", "b", "mu", "r"))
+        )
+    except SolverError as fault:
+        raise Broken(str(fault), detail=str(fault.__cause__)) from fault
+    for k in map(int, np.flatnonzero(done)):
+        answer = subject.visit(contacts[k])
+        if answer != (Status.CONVERGED, tuple(found[k].tolist()), iterations[k]):
+            raise Broken(
+                f"{shown(_triple(found[k]))} after {iterations[k]} iterations, the kernel has "
+                f"{shown(answer.r)} after {answer.iterations}: {status_name(answer.status)}",
+                contacts[k],
+            )
+    return f"{np.count_nonzero(done)} of {len(contacts)} contacts done"
+
+
 def _finite(r: Vector) -> bool:
     return math.isfinite(r[0]) and math.isfinite(r[1]) and math.isfinite(r[2])
 
@@ -284,6 +310,6 @@ def _named(*checks: Check) -> dict[str, Check]:
 
 REQUIRED = _named(
     declared, compiles, returns, take_off, stick, slip, frictionless, cone, honest, rotation, scaling,
-    fixed_point, deterministic, options_kept, not_finite,
+    fixed_point, deterministic, options_kept, not_finite, several,
 )  # fmt: skip
 """The checks by name, in the order of the card."""
