@@ -1,5 +1,7 @@
 """Parts of a problem and the threads that sweep them: the answer depends on neither."""
 
+import time
+
 import numpy as np
 import oracles
 import pytest
@@ -7,10 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse import random_array
 
+from fibercontact.gauss_seidel import crew
 from fibercontact.gauss_seidel import parts as module
+from fibercontact.gauss_seidel.anderson import Acceleration
 from fibercontact.gauss_seidel.blocks import block_system, residual_from, velocity
+from fibercontact.gauss_seidel.crew import Crew, Member
 from fibercontact.gauss_seidel.parts import divide, undivided
 from fibercontact.gauss_seidel.solver import GaussSeidel
+from fibercontact.gauss_seidel.sweep import COUNTERS
+from fibercontact.gauss_seidel.team import gather
 from fibercontact.local.registry import configure, registered
 from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.problem.measure import measure
@@ -138,9 +145,13 @@ def test_sweeps_of_a_divided_problem_are_the_oracles_in_its_order():
     assert run.sweeps == 4
 
 
+@pytest.mark.parametrize("switches", [False, True])
 @pytest.mark.parametrize("threads", [2, 3, 5])
 @pytest.mark.parametrize("name", ["secular", "pac:max_iterations=2"])
-def test_the_answer_is_the_same_for_any_number_of_threads(monkeypatch, threads, name):
+def test_the_answer_is_the_same_for_any_number_of_threads(monkeypatch, threads, name, switches):
+    """Also if the run goes from all of them to one and back at every look."""
+    for look in ("FIRST_LOOK", "NEXT_LOOK"):
+        monkeypatch.setattr(crew, look, 0.0 if switches else np.inf)
     problem = oracles.strands(5, rods=20, contacts=120, mu=0.8).condense()
     system, local = block_system(problem), configure(name, registered())
     assert system.parts.phases[1] >= 5
@@ -155,6 +166,31 @@ def test_the_answer_is_the_same_for_any_number_of_threads(monkeypatch, threads, 
     np.testing.assert_array_equal(together.history, alone.history)
     assert together.visits == alone.visits
     assert (together.sweeps, together.residual) == (alone.sweeps, alone.residual)
+
+
+def test_a_run_goes_on_with_the_threads_that_are_faster():
+    """And looks again, since that may change."""
+    own = (Acceleration(window=2).memory(6), np.zeros(4), np.zeros(COUNTERS, dtype=np.int64))
+    two = Crew([Member(team, *own) for team in gather(2, np.zeros(1, np.int32))])
+    slow = {2}
+
+    def go(elapsed):
+        count = two.plan(elapsed, 30, 15)
+
+        def sweep(member):
+            time.sleep(count * (1e-3 if member.team.size in slow else 1e-5))
+            return member.team.size
+
+        return count, two.sweep(sweep, count, np.zeros(2, dtype=np.int64))
+
+    assert go(0.0) == (30, 2)
+    assert go(crew.FIRST_LOOK) == (15, 1)
+    assert go(0.2) == (30, 1)
+    slow = {1}
+    assert go(0.3) == (30, 1)
+    again = crew.FIRST_LOOK + crew.NEXT_LOOK
+    assert go(again) == (15, 2)
+    assert go(again + 0.1) == (30, 2)
 
 
 def test_many_solves_at_once_do_not_wait_for_each_other(monkeypatch):

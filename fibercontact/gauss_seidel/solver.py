@@ -2,17 +2,18 @@
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba.core import config
 from numpy.typing import NDArray
 
-from fibercontact.gauss_seidel.anderson import Acceleration, Memory, forget, no_memory
+from fibercontact.gauss_seidel.anderson import Acceleration, forget, no_memory
 from fibercontact.gauss_seidel.blocks import BlockSystem, block_system, write_velocity
+from fibercontact.gauss_seidel.crew import Crew, Member
 from fibercontact.gauss_seidel.interior_point import interior_point
 from fibercontact.gauss_seidel.loop import (
     State,
@@ -25,7 +26,7 @@ from fibercontact.gauss_seidel.loop import (
 )
 from fibercontact.gauss_seidel.parts import Parts, owners, undivided
 from fibercontact.gauss_seidel.sweep import COUNTERS, Sweeper
-from fibercontact.gauss_seidel.team import Team, alone, gather
+from fibercontact.gauss_seidel.team import alone, gather
 from fibercontact.gauss_seidel.visit_log import VisitLog, check_log, no_log
 from fibercontact.lanes import LANES
 from fibercontact.local.contract import Status
@@ -34,7 +35,7 @@ from fibercontact.local.several import one_by_one
 from fibercontact.problem.cone import COULOMB
 from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.problem.measure import relative
-from fibercontact.threads import thread_count, together
+from fibercontact.threads import thread_count
 
 __all__ = ["LOOPS", "GaussSeidel", "Outcome", "Run", "Visits"]
 
@@ -129,15 +130,6 @@ class Run:
         return self.outcome == Outcome.CONVERGED
 
 
-class _Member(NamedTuple):
-    """What a thread of a run has for its own."""
-
-    team: Team
-    memory: Memory
-    guard: Array
-    visits: NDArray[np.int64]
-
-
 @dataclass(frozen=True)
 class GaussSeidel:
     """Block Gauss–Seidel over the local solver `local`.
@@ -191,23 +183,26 @@ class GaussSeidel:
         best = residual_of(system, state, how.facets, alone(len(parts.parts) - 1))
         past = np.full(self.max_sweeps + 1 if history else 0, np.nan)
         past[:1] = best
-        members = self._members(system, state, threads)
+        crew = Crew(self._members(system, state, threads))
+        kernels = (kernel, several or one_by_one, options)
         rest = (log or no_log(), past)
         rescue_at = self.rescue_after if how.facets == COULOMB and len(system.mu) <= LARGEST_RESCUE else 0
-        done, reached, elapsed, slice_, rescue = 0, best <= how.target, 0.0, self.check_every, 0
+        done, reached, elapsed, rescue = 0, best <= how.target, 0.0, 0
         while not reached and math.isfinite(best) and done < self.max_sweeps and elapsed < self.max_seconds:
-            end = min(self.max_sweeps, rescue_at if done < rescue_at else self.max_sweeps, done + slice_)
-            sweeps = partial(run_sweeps, kernel, several or one_by_one, options, system, how, state)
-            calls = [partial(sweeps, *member, *rest, best, done, end) for member in members]
-            done, best, reached = together(calls)[0]
+            count = crew.plan(elapsed, self._slice(done, elapsed), self._step)
+            end = min(self.max_sweeps, rescue_at if done < rescue_at else self.max_sweeps, done + count)
+
+            def sweeps(member: Member, best: float = best, done: int = done, end: int = end) -> Any:
+                return run_sweeps(*kernels, system, how, state, *member, *rest, best, done, end)
+
+            done, best, reached = crew.sweep(sweeps, end - done, state.failed)
             if done == rescue_at and not reached and math.isfinite(best):
-                rescue, best = self._rescue(system, b_ref, state, members, best, began)
+                rescue, best = self._rescue(system, b_ref, state, crew.members, best, began)
             elapsed = time.perf_counter() - began
-            slice_ = self._slice(done, elapsed)
         past = past[: done + 1] / (b_ref or 1.0) if history else past
         outcome = _outcome(reached, best, done >= self.max_sweeps)
         residual = relative(best, b_ref)
-        visits = Visits.from_counts(np.sum([member.visits for member in members], axis=0))
+        visits = Visits.from_counts(np.sum([member.visits for member in crew.members], axis=0))
         return Run(state.best_r, outcome, residual, done, elapsed, visits, past, rescue)
 
     def _parts(self, system: BlockSystem) -> Parts:
@@ -224,13 +219,13 @@ class GaussSeidel:
     def _window(self) -> int:
         return self.acceleration.window if self.acceleration else 0
 
-    def _members(self, system: BlockSystem, state: State, threads: int) -> "list[_Member]":
+    def _members(self, system: BlockSystem, state: State, threads: int) -> list[Member]:
         """What each thread of a run has for its own."""
         memory = self.acceleration.memory(len(state.r)) if self.acceleration else no_memory()
         if self.acceleration:
             scale_impulse(system, state.r, 0, len(system.mu), memory.x)
         return [
-            _Member(team, memory.own(), new_guard(self.proximal), np.zeros(COUNTERS, dtype=np.int64))
+            Member(team, memory.own(), new_guard(self.proximal), np.zeros(COUNTERS, dtype=np.int64))
             for team in gather(threads, owners(state.parts, system.starts, threads))
         ]
 
@@ -239,7 +234,7 @@ class GaussSeidel:
         system: BlockSystem,
         b_ref: float,
         state: State,
-        members: "list[_Member]",
+        members: Sequence[Member],
         best: float,
         began: float,
     ) -> tuple[int, float]:
@@ -272,10 +267,14 @@ class GaussSeidel:
             self._width,
         )
 
+    @property
+    def _step(self) -> int:
+        """The fewest sweeps between two looks at the clock: a whole number of checks and of maps."""
+        return self.check_every * (self.acceleration.sweeps if self.acceleration else 1)
+
     def _slice(self, done: int, elapsed: float) -> int:
-        """Sweeps until the next look at the clock, a whole number of checks and of maps."""
-        step = self.check_every * (self.acceleration.sweeps if self.acceleration else 1)
-        return step * max(1, int(done * SLICE_SECONDS / max(elapsed, 1e-9)) // step)
+        """Sweeps until the next look at the clock."""
+        return self._step * max(1, int(done * SLICE_SECONDS / max(elapsed, 1e-9)) // self._step)
 
 
 def _threads(parts: Parts) -> int:
