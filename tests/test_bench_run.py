@@ -348,7 +348,7 @@ def test_a_method_is_prepared_before_the_clock_starts(tmp_path):
 def command(*arguments):
     environment = os.environ | {"PYTHONPATH": str(Path(fibercontact.__file__).parents[1])}
     return subprocess.Popen(
-        [sys.executable, "-m", "fibercontact.cli", *map(str, arguments)],
+        [sys.executable, "-m", "fibercontact", *map(str, arguments)],
         env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         # A shell's background job ignores Ctrl-C, and its children with it.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),

@@ -71,7 +71,7 @@ def fails(*arguments):
 def test_help_imports_nothing_heavy(arguments):
     environment = os.environ | {"PYTHONPATH": str(Path(fibercontact.__file__).parents[1])}
     result = subprocess.run(
-        [sys.executable, "-X", "importtime", "-m", "fibercontact.cli", *arguments],
+        [sys.executable, "-X", "importtime", "-m", "fibercontact", *arguments],
         env=environment, capture_output=True, text=True, check=True,
     )  # fmt: skip
     imported = {line.rpartition("|")[2].strip().partition(".")[0] for line in result.stderr.splitlines()}

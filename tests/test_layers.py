@@ -10,7 +10,7 @@ from fibercontact.jit import KERNEL_ROOMS
 
 ROOMS = [
     "errors", "jit", "lanes", "threads", "rods", "contact", "problem", "local", "gauss_seidel", "global_methods",
-    "peers", "simulation", "reference", "bench", "cli"
+    "peers", "simulation", "reference", "bench", "cli", "__main__"
 ]  # fmt: skip
 ANYWHERE = "fibercontact"  # the package itself: its version and nothing else
 

@@ -36,7 +36,7 @@ class Entry:
 
 
 def find_set(name: str) -> Path:
-    """Folder of a set: a path, or a folder's name in `problems/` of the checkout or of the current folder."""
+    """Folder of a set: a path, or a name: in `problems/` of the checkout or the current folder, or in the package."""
     candidates = _candidates(name)
     for folder in candidates:
         if folder.is_dir():
@@ -56,8 +56,9 @@ def find_file(name: str) -> Path:
 
 def _candidates(name: str) -> list[Path]:
     """Where a name of the user's may be."""
-    checkout = Path(__file__).parents[2]
-    return [Path(name), checkout / "problems" / name, Path("problems") / name]
+    package = Path(__file__).parents[1]
+    shelves = package.parent / "problems", Path("problems"), package / "data"
+    return [Path(name), *(shelf / name for shelf in shelves)]
 
 
 def load_set(folder: Path) -> list[Entry]:

@@ -12,7 +12,9 @@ __all__ = ["reference"]
 
 
 def reference(
-    problems: Annotated[str, typer.Argument(metavar="SET", help="core306, or a folder of FCLIB files.")],
+    problems: Annotated[
+        str, typer.Argument(metavar="SET", help="core306, sample, or a folder of FCLIB files.")
+    ],
     jobs: Annotated[int, typer.Option(help="Processes; 0: one a core.", min=0)] = 0,
     bar: Annotated[
         float, typer.Option(help="Residual that a reference must meet.", min=1e-15, max=1.0)

@@ -26,7 +26,9 @@ __all__ = ["table"]
 def table(
     problems: Annotated[
         str | None,
-        typer.Option("--set", metavar="SET", help="core306, or a folder of FCLIB files; a file of level 1."),
+        typer.Option(
+            "--set", metavar="SET", help="core306, sample, or a folder of FCLIB files; a file of level 1."
+        ),
     ] = None,
     solvers: Annotated[
         str | None,

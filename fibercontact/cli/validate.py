@@ -22,7 +22,7 @@ __all__ = ["validate"]
 
 def validate(
     problems: Annotated[
-        str, typer.Option("--set", metavar="SET", help="core306, or a folder of FCLIB files.")
+        str, typer.Option("--set", metavar="SET", help="core306, sample, or a folder of FCLIB files.")
     ] = "core306",
     solvers: Annotated[
         str | None,

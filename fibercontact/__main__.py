@@ -1,4 +1,4 @@
-"""`python -m fibercontact.cli` is the same as `fibercontact`."""
+"""`python -m fibercontact` is the same as `fibercontact`."""
 
 from fibercontact.cli import main
 
