@@ -239,7 +239,7 @@ SCENES: Mapping[str, Parameters] = {_name(p): p for p in _RUNS}
 
 _HEADS = (
     Parameters("scalp", 2000, "mixed", 0.3, 0.3, 31),
-    Parameters("scalp", 2000, "curly", 0.1, 0.1, 32),
+    Parameters("scalp", 4000, "curly", 0.1, 0.1, 32),
     Parameters("scalp", 2000, "straight", 0.2, 0.4, 33),
     Parameters("scalp", 2000, "mixed", 0.3, 0.3, 31, "clothoid"),
     Parameters("scalp", 2000, "wavy", 1.0, 0.5, 35, "clothoid"),
