@@ -167,7 +167,7 @@ def contrary(table: pd.DataFrame, by_stratum: pd.DataFrame) -> list[str]:
             continue
         first, second = ranking.index[:2]
         for _, stratum in by_stratum.groupby(["by", "stratum"], sort=False):
-            line = stratum.set_index("solver")
+            line = stratum.set_index("solver").reindex([first, second])
             if line.loc[second, column] < line.loc[first, column]:
                 by, label = stratum[["by", "stratum"]].iloc[0]
                 sentences.append(

@@ -18,6 +18,7 @@ from fibercontact.cli import (
     new_solver,
     reference,
     render,
+    report,
     simulate,
     solve,
     solvers,
@@ -45,6 +46,7 @@ app.command("simulate")(simulate.simulate)
 app.command("new-scene")(new_scene.new_scene)
 app.add_typer(corpus.corpus, name="corpus")
 app.command("render")(render.render)
+app.command("report")(report.report)
 app.command("harvest")(level1.harvest)
 app.command("reference")(reference.reference)
 app.command("validate")(validate.validate)

@@ -26,17 +26,23 @@ TUBES = 250  # fibres: tubes of more would make a heavy page, they are lines
 SEGMENTS, SIDES = 30, 6  # of a fibre, and corners of the rings of a tube
 ROUND = 12  # points of a quarter of a circle
 FIBRES = [[0.0, "#8f7561"], [1.0, "#edd6b8"]]
+SHADES = 6  # of fibres that are lines
 STONE = [[0.0, "#d9d6d1"], [1.0, "#d9d6d1"]]
 FORCE = "#444444"
 
 
-def scene_page(shown: Shown, step: Step, turn: float = TURN, tilt: float = TILT) -> "Figure":
-    """Fibres, obstacles, contacts by regime and forces of a step; each can be switched off."""
+def scene_page(
+    shown: Shown, step: Step, turn: float = TURN, tilt: float = TILT, most_tubes: int = TUBES
+) -> "Figure":
+    """Fibres, obstacles, contacts by regime and forces of a step; each can be switched off.
+
+    More fibres than `most_tubes` are lines.
+    """
     from plotly.graph_objects import Figure
 
     points = np.concatenate(held(shown))
     low, high = points.min(axis=0), points.max(axis=0)
-    figure = Figure([_fibres(shown)])
+    figure = Figure(list(_fibres(shown, most_tubes)))
     for obstacle in shown.obstacles:
         figure.add_traces(list(_obstacle(obstacle, low, high)))
     figure.add_trace(_forces(shown, force_scale([shown], float((high - low).max()))))
@@ -80,22 +86,33 @@ def _broken(lines: Array) -> NDArray[np.float32]:
     return np.concatenate([lines, gaps], axis=1).reshape(-1, 3).T.astype(np.float32)
 
 
-def _fibres(shown: Shown) -> "BaseTraceType":
+def _fibres(shown: Shown, most_tubes: int) -> Iterator["BaseTraceType"]:
     """Tubes as thick as the fibres, or lines where there are too many."""
-    from plotly.graph_objects import Mesh3d, Scatter3d
+    from plotly.graph_objects import Mesh3d
 
     shade = np.random.default_rng(0).uniform(size=len(shown.fibres)).astype(np.float32)
-    common = {"name": "fibres", "showlegend": True, "hoverinfo": "skip"}
     fibres = _thinned(shown.fibres, SEGMENTS)
-    if len(fibres) > TUBES:
-        x, y, z = _broken(fibres)
-        line = {"color": np.repeat(shade, fibres.shape[1] + 1), "colorscale": FIBRES, "width": 3}
-        return Scatter3d(x=x, y=y, z=z, mode="lines", line=line, **common)
+    if len(fibres) > most_tubes:
+        yield from _strokes(fibres, shade)
+        return
     corner, triangle = tubes(fibres, shown.radius, SIDES)
     x, y, z = corner.T.astype(np.float32)
     i, j, k = triangle.T.astype(np.int32)
-    return Mesh3d(x=x, y=y, z=z, i=i, j=j, k=k, intensity=np.repeat(shade, len(corner) // len(shade)),
-                  colorscale=FIBRES, showscale=False, **common)  # fmt: skip
+    yield Mesh3d(x=x, y=y, z=z, i=i, j=j, k=k, intensity=np.repeat(shade, len(corner) // len(shade)), name="fibres",
+                 colorscale=FIBRES, showscale=False, showlegend=True, hoverinfo="skip")  # fmt: skip
+
+
+def _strokes(fibres: Array, shade: NDArray[np.float32]) -> Iterator["BaseTraceType"]:
+    """Fibres as lines of a few shades, one trace each, switched on and off together."""
+    from plotly.colors import sample_colorscale
+    from plotly.graph_objects import Scatter3d
+
+    group = (SHADES * shade).astype(int)
+    for k in np.unique(group):
+        x, y, z = _broken(fibres[group == k])
+        (colour,) = sample_colorscale(FIBRES, [(k + 0.5) / SHADES])
+        yield Scatter3d(x=x, y=y, z=z, mode="lines", name="fibres", line={"color": colour, "width": 3},
+                        legendgroup="fibres", showlegend=bool(k == group.min()), hoverinfo="skip")  # fmt: skip
 
 
 def _thinned(polylines: Array, segments: int) -> Array:
