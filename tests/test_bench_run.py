@@ -16,12 +16,15 @@ import pytest
 from scipy.sparse import csr_array, eye_array
 
 import fibercontact
-from fibercontact.bench import run as run_module
+from fibercontact.bench import measurement
+from fibercontact.bench import plan as plan_module
 from fibercontact.bench.passes import Desk, Pass, judge, options_text
+from fibercontact.bench.plan import Plan
 from fibercontact.bench.problem_set import find_set, limited, load_set
 from fibercontact.bench.protocol import BenchError, Limits
 from fibercontact.bench.rows import Key, RowFile, move_away
-from fibercontact.bench.run import Plan, run
+from fibercontact.bench.run import run
+from fibercontact.bench.worker import cause
 from fibercontact.gauss_seidel.solver import Outcome, Run, Visits
 from fibercontact.global_methods.registry import configure, registered
 from fibercontact.local.contract import Status
@@ -149,7 +152,7 @@ def test_sweeps_are_the_first_that_meet_the_tolerance(tmp_path):
 
 
 def test_hanging_crashing_and_lying_plugins_have_rows_and_harm_no_other(tmp_path, monkeypatch):
-    monkeypatch.setattr(run_module, "GRACE_SECONDS", 1.5)
+    monkeypatch.setattr(measurement, "GRACE_SECONDS", 1.5)
     names = ["hangs", "crashes", "liar", "giving_up"]
     plugins = [plugin(tmp_path, name) for name in names]
     solvers = ["hangs", "secular", "crashes", "liar", "giving-up", "hybrid"]
@@ -242,6 +245,84 @@ def test_editing_a_plugin_takes_effect_at_the_next_run(tmp_path):
     assert found[2] == found[1]  # the first text again: known already, nothing to measure
 
 
+HOARDER = """
+'''A global method that keeps megabytes.'''
+import numpy as np
+from fibercontact.global_methods.contract import Answer, GlobalMethod
+from fibercontact.local.contract import Option
+
+kept = []
+
+def solve(system, task, options):
+    kept.extend(np.empty(125_000) for _ in range(int(options[0])))
+    return Answer(np.zeros_like(system.b), False, 1)
+
+solver = GlobalMethod(solve, options={"megabytes": Option(1.0, "what each pass keeps")})
+"""
+
+needs_bound = pytest.mark.skipif(sys.platform != "linux", reason="memory is bounded on Linux")
+
+
+@needs_bound
+def test_memory_is_bounded_and_what_one_leaves_is_no_fault_of_the_next(tmp_path):
+    """A pass of 800 MB fits beside the libraries, two do not; the second is made again in a new process."""
+    (tmp_path / "hoarder.py").write_text(HOARDER)
+    solvers = ["hoarder:megabytes=800", "hoarder:megabytes=801", "hoarder:megabytes=8000", "secular"]
+    plan = plan_for(
+        write_set(tmp_path / "set", 1), solvers, [tmp_path / "hoarder.py"], timed=(), rates=("low",),
+        memory=1_800_000_000,
+    )  # fmt: skip
+    rows = run_rows(plan, tmp_path / "run")
+    assert [row["solver"] for row in rows] == solvers
+    assert [row["reason"] for row in rows] == ["stalled", "stalled", "memory", ""]
+    assert "MemoryError" in rows[2]["detail"]
+    assert {row["memory_limit"] for row in rows} == {1_800_000_000}
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        (3, "the process ended with code 3"),
+        (-signal.SIGSEGV, "the process died of SIGSEGV"),
+        (-signal.SIGKILL, "the process died of SIGKILL, as when the system runs out of memory"),
+        (-63, "the process died of signal 63"),
+    ],
+)
+def test_how_a_process_ended_in_words(code, said):
+    assert cause(code) == said
+
+
+def test_a_worker_ends_with_its_parent_even_at_work(tmp_path):
+    """The parent is killed while its worker hangs in a request of an hour."""
+    path = method(tmp_path, "loops")
+    script = f"""
+from pathlib import Path
+from fibercontact.bench.passes import Pass
+from fibercontact.bench.protocol import Limits
+from fibercontact.bench.worker import Setting, Worker
+from fibercontact.global_methods.registry import registered
+prints = {{"loops": registered([Path({str(path)!r})])["loops"].fingerprint}}
+worker = Worker(Setting([Path({str(path)!r})], prints))
+worker.load(Path({str(write_set(tmp_path / "set", 1) / "chain-00.hdf5")!r}), "cold")
+print(worker._process.pid, flush=True)
+worker.solve(*worker._loaded, Pass("loops", "low", "global", Limits(), timed=False), 3600.0)
+"""
+    parent = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+    worker = int(parent.stdout.readline())
+    time.sleep(0.5)
+    os.kill(worker, 0)  # it lives
+    parent.kill()
+    parent.communicate()
+    deadline = time.monotonic() + 20.0
+    while time.monotonic() < deadline:
+        try:
+            os.kill(worker, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.05)
+    raise AssertionError("the worker outlived its parent")
+
+
 # Methods for the whole problem
 
 METHOD = """
@@ -293,7 +374,7 @@ def method(folder, name):
 
 
 def test_global_methods_have_rows_whatever_they_do(tmp_path, monkeypatch):
-    monkeypatch.setattr(run_module, "GRACE_SECONDS", 1.5)
+    monkeypatch.setattr(measurement, "GRACE_SECONDS", 1.5)
     plugins = [method(tmp_path, name) for name in ANSWERS]
     solvers = [*(name.replace("_", "-") for name in ANSWERS), "secular", "apgd"]
     plan = plan_for(write_set(tmp_path / "set", 1), solvers, plugins, limits=Limits(200, 0.5))
@@ -409,7 +490,7 @@ def test_a_killed_and_an_interrupted_run_resume_where_they_stopped(tmp_path):
 def test_rows_of_other_code_are_not_taken_for_these(tmp_path, monkeypatch):
     plan = plan_for(write_set(tmp_path / "set", 1), ["secular"])
     run_rows(plan, tmp_path / "run")
-    monkeypatch.setattr(run_module, "_code", lambda: "another")
+    monkeypatch.setattr(plan_module, "code", lambda: "another")
     listener = Silent()
     assert [row["code"] == "another" for row in run_rows(plan, tmp_path / "run", listener)] == [
         False,
@@ -419,12 +500,6 @@ def test_rows_of_other_code_are_not_taken_for_these(tmp_path, monkeypatch):
     ]
     assert len(listener.notes) == 1
     assert "2 row(s) of another protocol, other code" in listener.notes[0]
-
-
-def test_two_runs_do_not_write_to_one_folder(tmp_path):
-    first, second = RowFile(tmp_path), RowFile(tmp_path)
-    with first.appending(), pytest.raises(BenchError, match="another run"), second.appending():
-        pass
 
 
 def test_row_files_hold_what_is_not_finite_as_empty(tmp_path):

@@ -26,6 +26,7 @@ SMALL = {
     "outer_loops.py": ["--limit", "2", "--out", "figure"],
     "speed.py": ["--most", "200", "--repetitions", "1", "--out", "figure"],
     "global_methods.py": ["--limit", "1", "--methods", "apgd,newton-ac,interior-point", "--out", "figure"],
+    "isolation.py": ["--limit", "1", "--repetitions", "1"],
     "penalty.py": ["--time", "0.01", "--stiffness", "300", "--fibres", "2", "--out", "figure"],
     "rod_validation.py": ["--elements", "6,8", "--bends", "8", "--curve", "1", "--out", "figure"],
     "rod_stick_slip.py": ["--elements", "4", "--mus", "0.3", "--dt", "0.1", "--out", "figure"],

@@ -32,12 +32,13 @@ from fibercontact.bench.html_report.limitations import limitations
 from fibercontact.bench.html_report.page import LARGEST, Shown, as_json, page, page_data, write_page
 from fibercontact.bench.html_report.portraits import Portrait, strictest
 from fibercontact.bench.html_report.rods import rods_of
-from fibercontact.bench.html_report.runs import read_run, renamed
+from fibercontact.bench.html_report.runs import renamed, reported
 from fibercontact.bench.html_report.tables import headline_table, side_by_side
 from fibercontact.bench.problem_set import entry_of, find_problem
 from fibercontact.bench.protocol import BenchError
+from fibercontact.bench.record import Asked, write_asked
 from fibercontact.bench.report import make_report, number
-from fibercontact.bench.rows import RowFile
+from fibercontact.bench.rows import Key, RowFile
 from fibercontact.bench.tables import performance_ratios, rated
 from fibercontact.cli import app
 from fibercontact.problem.fclib import write
@@ -48,7 +49,7 @@ RESULTS = Path(__file__).parents[1] / "results"
 
 @pytest.fixture
 def run(tmp_path):
-    return read_run(write_run(tmp_path / "run", rows() + rows("mid", "rates")))
+    return reported(write_run(tmp_path / "run", rows() + rows("mid", "rates")))
 
 
 # Runs read back
@@ -66,7 +67,7 @@ def test_the_tables_are_those_of_a_run(run):
 @pytest.mark.parametrize("name", ["core306", "rods102"])
 def test_committed_rows_give_the_committed_table(name):
     table = pd.read_csv(RESULTS / name / "table.csv").set_index("solver")
-    view = read_run(RESULTS / name).views[0]
+    view = reported(RESULTS / name).views[0]
     numbers = [column for column in table if table[column].dtype.kind in "if"]
     pd.testing.assert_frame_equal(
         view.table[numbers].loc[table.index], table[numbers], check_dtype=False, rtol=1e-12
@@ -77,14 +78,14 @@ def test_committed_rows_give_the_committed_table(name):
 
 
 def test_the_passes_before_timed_ones_are_not_shown(tmp_path):
-    run = read_run(write_run(tmp_path / "run", rows("low", "rates") + rows()))
+    run = reported(write_run(tmp_path / "run", rows("low", "rates") + rows()))
     assert [view.mode for view in run.views] == ["timed"]
     assert len(run.rows) == len(rows())
     assert run.remarks == []
 
 
 def test_a_run_that_was_not_timed_is_shown_as_such(tmp_path):
-    run = read_run(write_run(tmp_path / "run", rows("mid", "rates")))
+    run = reported(write_run(tmp_path / "run", rows("mid", "rates")))
     assert [view.mode for view in run.views] == ["rates"]
     assert any("Nothing was timed" in sentence for sentence in limitations(run))
     assert page_data([Shown(run, [])])["runs"][0]["views"][0]["profile"] is None
@@ -96,7 +97,7 @@ def test_a_run_that_was_not_timed_is_shown_as_such(tmp_path):
 )  # fmt: skip
 def test_rows_of_an_older_setting_are_left_aside(tmp_path, old):
     before = rows(stamp="2025-01-01T00:00:00+00:00", sweeps=1, **old)
-    run = read_run(write_run(tmp_path / "run", rows() + before))
+    run = reported(write_run(tmp_path / "run", rows() + before))
     assert (run.rows["sweeps"] != 1).all()
     assert len(run.rows) == len(rows())
     (remark,) = run.remarks
@@ -105,7 +106,7 @@ def test_rows_of_an_older_setting_are_left_aside(tmp_path, old):
 
 def test_a_measurement_made_twice_counts_once(tmp_path):
     again = row("one", "pac", sweeps=7, stamp="2026-02-01T00:00:00+00:00")
-    run = read_run(write_run(tmp_path / "run", [*rows(), again]))
+    run = reported(write_run(tmp_path / "run", [*rows(), again]))
     mine = run.rows[(run.rows["problem"] == "one") & (run.rows["solver"] == "pac")]
     assert mine["sweeps"].tolist() == [7]
 
@@ -113,7 +114,7 @@ def test_a_measurement_made_twice_counts_once(tmp_path):
 @pytest.mark.parametrize("gone", [[0], [3, 4, 5], [1, 4, 7], [0, 4, 5, 6, 8, 9], [0, 1, 3, 4, 6, 7]])
 def test_missing_rows_are_counted(tmp_path, gone):
     kept = [one for k, one in enumerate(rows()) if k not in gone]
-    run = read_run(write_run(tmp_path / "run", kept))
+    run = reported(write_run(tmp_path / "run", kept))
     problems, solvers = ({one[name] for one in kept} for name in ("problem", "solver"))
     lacking = len(problems) * len(solvers) - len(kept)
     said = [remark for remark in run.remarks if remark.startswith("incomplete")]
@@ -121,8 +122,28 @@ def test_missing_rows_are_counted(tmp_path, gone):
     assert all(f" {lacking} of {len(problems) * len(solvers)} rows are missing" in remark for remark in said)
 
 
+def test_rows_that_were_asked_for_are_missed(tmp_path):
+    """Also where no problem has a row of a solver, which the rows cannot tell."""
+    whole, folder = rows(), tmp_path / "run"
+    kept = [one for one in whole if one["solver"] != whole[0]["solver"]]
+    write_run(folder, kept)
+    keys = [Key.of(one).fields() for one in whole]
+    measurements = [{n: v for n, v in key.items() if n != "problem_hash"} for key in keys]
+    unique = list({str(one): one for one in measurements}.values())
+    write_asked(folder, [Asked("set", sorted({key["problem_hash"] for key in keys}), unique, {}, "")])
+    (said,) = (remark for remark in reported(folder).remarks if remark.startswith("incomplete"))
+    assert f" {len(whole) - len(kept)} of {len(whole)} rows that were asked for" in said
+
+
+def test_rates_of_several_machines_are_one_run(tmp_path):
+    """What is not timed is the same anywhere; times of another machine are left aside."""
+    run = reported(write_run(tmp_path / "run", [*rows(), *rows("mid", "rates", cpu="another")]))
+    assert len(run.views) == 2
+    assert not any("left aside" in remark for remark in run.remarks)
+
+
 def test_a_run_without_its_table_is_incomplete(tmp_path):
-    run = read_run(write_run(tmp_path / "run", rows(), finished=False))
+    run = reported(write_run(tmp_path / "run", rows(), finished=False))
     assert ["incomplete" in remark for remark in run.remarks] == [True]
     assert "incomplete: the run was interrupted" in page([Shown(run, [])])
 
@@ -131,7 +152,7 @@ def test_a_torn_line_is_told(tmp_path):
     folder = write_run(tmp_path / "run", rows())
     with (folder / "rows.jsonl").open("a") as stream:
         stream.write('{"problem": "on')
-    assert any("torn" in remark for remark in read_run(folder).remarks)
+    assert any("torn" in remark for remark in reported(folder).remarks)
 
 
 def broken(folder, text=None, name="rows.jsonl"):
@@ -144,10 +165,10 @@ def broken(folder, text=None, name="rows.jsonl"):
     ("make", "fault"),
     [
         (lambda run: None, "no such folder"),
-        (lambda run: broken(run), "not the folder of a run"),
+        (lambda run: broken(run), "no run there"),
         (lambda run: broken(run, ""), "no rows"),
         (lambda run: broken(run, '{"torn'), "no rows"),
-        (lambda run: broken(run, "[1]\n{}"), "no rows"),
+        (lambda run: broken(run, "[1]\n{}"), "not those of a run"),
         (lambda run: broken(run, 'problem\n"one', "rows.csv"), "not readable"),
         (lambda run: broken(run, "", "rows.csv"), "not readable"),
         (lambda run: broken(run, "no gzip", "rows.csv.gz"), "not readable"),
@@ -164,14 +185,14 @@ def broken(folder, text=None, name="rows.jsonl"):
 def test_a_broken_run_is_an_error_that_names_the_folder_and_the_fault(tmp_path, make, fault):
     make(tmp_path / "broken")
     with pytest.raises(BenchError, match="broken") as error:
-        read_run(tmp_path / "broken")
+        reported(tmp_path / "broken")
     assert fault in str(error.value)
 
 
 def test_runs_of_one_name_go_by_their_paths(tmp_path):
     (tmp_path / "a").mkdir()
     first, second = (write_run(folder / "run", rows()) for folder in (tmp_path, tmp_path / "a"))
-    assert [run.name for run in renamed([read_run(first), read_run(second)])] == [str(first), str(second)]
+    assert [run.name for run in renamed([reported(first), reported(second)])] == [str(first), str(second)]
 
 
 # Figures
@@ -209,13 +230,13 @@ def test_failures_by_reason_add_up_to_the_table(run):
 
 def test_without_failures_there_is_no_figure_of_them(tmp_path):
     found = [one for one in rows() if one["solver"] == "secular"]
-    view = read_run(write_run(tmp_path / "run", found)).views[0]
+    view = reported(write_run(tmp_path / "run", found)).views[0]
     assert reasons_figure(view, styles(["secular"])) is None
 
 
 def test_times_are_drawn_against_accuracy_where_several_were_timed(run, tmp_path):
     assert accuracies_figure(run.views, styles(run.solvers)) is None
-    two = read_run(write_run(tmp_path / "two", rows() + rows("mid")))
+    two = reported(write_run(tmp_path / "two", rows() + rows("mid")))
     figure = accuracies_figure(two.views, styles(two.solvers))
     for trace in figure.data:
         assert list(trace.x) == [1e-2, 1e-4]
@@ -271,7 +292,7 @@ def test_the_problems_add_up_to_the_table(run):
 
 
 def test_runs_side_by_side(run, tmp_path):
-    other = read_run(write_run(tmp_path / "other", rows(code="0ther")[:-1]))
+    other = reported(write_run(tmp_path / "other", rows(code="0ther")[:-1]))
     table = side_by_side([run, other])
     assert [name for name, _ in table.lines] == run.solvers
     assert dict(table.lines)["pac"][:2] == ["50", number(30)]
@@ -281,7 +302,7 @@ def test_runs_side_by_side(run, tmp_path):
 
 
 def test_runs_of_different_protocols_share_no_table(run, tmp_path):
-    other = read_run(write_run(tmp_path / "other", rows(protocol=2)))
+    other = reported(write_run(tmp_path / "other", rows(protocol=2)))
     assert side_by_side([run, other]) is None
     assert "The runs differ in protocol" in page([Shown(run, []), Shown(other, [])])
 
@@ -292,7 +313,7 @@ def test_limitations_speak_of_the_run(run, tmp_path):
     assert "Z80" in text
     assert "5000 sweeps and 30 s" in text
     assert "other processes" not in text
-    busy = read_run(write_run(tmp_path / "busy", rows(load=2.0, law_facets=4, outer="global")))
+    busy = reported(write_run(tmp_path / "busy", rows(load=2.0, law_facets=4, outer="global")))
     text = " ".join(limitations(busy))
     for words in ("2.0 other processes", "linearised law", "Iterations, not sweeps"):
         assert words in text
@@ -398,7 +419,7 @@ def test_a_manifest_cannot_make_us_run_anything_else(tmp_path, scene, words):
 
 
 def test_a_page_of_306_problems_and_8_solvers_is_small_enough():
-    run = read_run(RESULTS / "core306")
+    run = reported(RESULTS / "core306")
     rng = np.random.default_rng(0)
     curves = [Curve(name, list(range(1, 152)), rng.uniform(size=151).tolist()) for name in run.solvers]
     portraits = [Portrait(f"p{k}", "", "scene", 400, "mid", curves, []) for k in range(6)]

@@ -16,7 +16,7 @@ from fibercontact.bench.html_report.figures import Curve
 from fibercontact.bench.html_report.page import Shown, write_page
 from fibercontact.bench.html_report.portraits import Portrait, portraits
 from fibercontact.bench.html_report.rods import Rods, rods_of
-from fibercontact.bench.html_report.runs import read_run
+from fibercontact.bench.html_report.runs import reported
 from fibercontact.bench.problem_set import find_problem
 from fibercontact.bench.report import number
 
@@ -100,8 +100,8 @@ def curves(names):
 def file(tmp_path_factory):
     """Two runs; of the first a problem is looked at closely."""
     folder = tmp_path_factory.mktemp("page")
-    run = read_run(write_run(folder / "first", rows() + rows("mid", "rates")))
-    other = read_run(write_run(folder / "second", rows("mid", "rates", cpu="6502")[:-2], finished=False))
+    run = reported(write_run(folder / "first", rows() + rows("mid", "rates")))
+    other = reported(write_run(folder / "second", rows("mid", "rates", cpu="6502")[:-2], finished=False))
     rods = rods_of(find_problem("comb-curly-91-mu1-001"))
     portrait = Portrait("two", "hash-two", "comb", 300, "mid", curves(SOLVERS), ["a note"], rods)
     write_page([Shown(run, [portrait]), Shown(other, [])], folder / "page.html")
@@ -220,7 +220,7 @@ def test_no_name_does_anything_but_stand_there(tmp_path, open_page):
     ]
     for one in found:
         one["reason"] = one["reason"] and HOSTILE[5]
-    run = read_run(write_run(tmp_path / "<img src=x onerror=alert(1)>", found))
+    run = reported(write_run(tmp_path / "<img src=x onerror=alert(1)>", found))
     rods = Rods(None, HOSTILE[1])
     portrait = Portrait(HOSTILE[4], "hash-one", HOSTILE[3], 40, "low", curves(run.solvers), HOSTILE, rods)
     write_page([Shown(run, [portrait]), Shown(run, [])], tmp_path / "page.html")
@@ -259,7 +259,7 @@ def test_the_policy_lets_no_other_script_run(file, browser):
 @pytest.fixture(scope="module")
 def core(tmp_path_factory):
     """The page of the committed run, a problem of it looked at closely."""
-    run = read_run(ROOT / "results" / "core306")
+    run = reported(ROOT / "results" / "core306")
     scene = find_problem("comb-curly-91-mu1-001")
     closely = portraits(run, [scene.hash], shelves(), [], rods=1, tick=print)
     file = tmp_path_factory.mktemp("core") / "page.html"

@@ -1,6 +1,5 @@
 """Ground truth for whole sets: in processes, stored as it comes, as a table and on the command line."""
 
-import multiprocessing
 from pathlib import Path
 
 import h5py
@@ -10,15 +9,16 @@ import pytest
 from oracles import residual, strands
 from typer.testing import CliRunner
 
+from fibercontact.bench import references
 from fibercontact.bench.problem_set import limited, load_set
-from fibercontact.bench.protocol import BenchError
+from fibercontact.bench.reference_desk import describe
 from fibercontact.bench.references import (
-    describe,
     find_references,
     reference_frame,
     reference_notes,
     summary,
 )
+from fibercontact.bench.worker import Worker
 from fibercontact.cli import app
 from fibercontact.problem.fclib import read, write
 from fibercontact.problem.incremental import IncrementalProblem
@@ -74,16 +74,32 @@ def test_a_proved_unsolvable_problem_is_marked_in_its_set_if_the_proof_holds(fol
     assert [entry.existence for entry in load_set(folder)] == ["", "", ""]
 
 
-def test_an_interruption_loses_nothing_and_leaves_no_process(folder):
+@pytest.fixture
+def workers(monkeypatch):
+    """The workers of a run, as they are made."""
+    made = []
+
+    class Known(Worker):
+        def __init__(self, setting):
+            super().__init__(setting)
+            made.append(self)
+
+    monkeypatch.setattr(references, "Worker", Known)
+    return made
+
+
+def test_an_interruption_loses_nothing_and_leaves_no_process(folder, workers):
+    processes = []
+
     def interrupt(row):
+        processes.extend(worker._process for worker in workers)
         raise KeyboardInterrupt
 
     file = references_file(folder)
     with pytest.raises(KeyboardInterrupt):
         find_references(load_set(folder), file, SEARCH, 1, interrupt)
-    for child in multiprocessing.active_children():
-        child.join(10.0)
-    assert not multiprocessing.active_children()
+    assert processes
+    assert all(process.poll() is not None for process in processes)
     assert not file.exists()
     assert len(list(Store(file).parts.glob("*.hdf5"))) >= 1
     rows, _ = find_references(load_set(folder), file, SEARCH, 1, no_one)
@@ -92,15 +108,21 @@ def test_an_interruption_loses_nothing_and_leaves_no_process(folder):
     assert not Store(file).parts.exists()
 
 
-def test_a_process_that_dies_is_an_error_that_says_so(folder):
-    def kill(row):
-        for child in multiprocessing.active_children():
-            child.kill()
+def test_a_process_that_dies_costs_its_problem_and_says_so(folder, workers, monkeypatch):
+    ask, asked = Worker.ask, []
 
-    for seed in range(3, 9):
-        write(folder / f"strands{seed}.hdf5", strands(seed))
-    with pytest.raises(BenchError, match=r"a process died .* run it again"):
-        find_references(load_set(folder), references_file(folder), SEARCH, 1, kill)
+    def dying(self, name, arguments, limit):
+        asked.append(name)
+        if len(asked) == 2:
+            self._process.kill()
+        return ask(self, name, arguments, limit)
+
+    monkeypatch.setattr(Worker, "ask", dying)
+    rows, (fault,) = find_references(load_set(folder), references_file(folder), SEARCH, 1, no_one)
+    assert len(rows) == 2
+    assert "the process died of SIGKILL" in fault
+    assert fault.startswith(str(folder))
+    assert find_references(load_set(folder), references_file(folder), SEARCH, 1, no_one)[1] == []
 
 
 # The table

@@ -10,7 +10,9 @@ from pathlib import Path
 
 import fibercontact
 
-__all__ = ["cpu_model", "load", "one_thread", "usable_cores", "versions"]
+__all__ = [
+    "MEMORY_SHARE", "ONE_THREAD", "cpu_model", "load", "memory_share", "one_thread", "usable_cores", "versions"
+]  # fmt: skip
 
 ONE_THREAD = dict.fromkeys(
     (
@@ -22,6 +24,10 @@ ONE_THREAD = dict.fromkeys(
     ),
     "1",
 )
+"""Environment variables of a process that is to use one thread."""
+
+MEMORY_SHARE = 0.75
+"""Of the machine's memory, for all worker processes together."""
 
 
 @cache
@@ -64,6 +70,19 @@ def usable_cores() -> list[int]:
     if hasattr(os, "sched_getaffinity"):
         return sorted(os.sched_getaffinity(0))
     return list(range(os.cpu_count() or 1))
+
+
+def memory_share(processes: int = 1) -> int:
+    """Bytes that each of so many worker processes may use by default: together three quarters of the memory.
+
+    That of the machine, or what a container of this process is allowed.
+    """
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    try:
+        allowed = int(Path("/sys/fs/cgroup/memory.max").read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # not there, or "max"
+        allowed = memory
+    return int(MEMORY_SHARE * min(memory, allowed) / processes)
 
 
 @contextmanager

@@ -14,10 +14,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from fibercontact.bench import contact_desk
 from fibercontact.bench.contact_verdict import judge, velocities
-from fibercontact.bench.environment import load, one_thread, usable_cores
+from fibercontact.bench.environment import load, usable_cores
 from fibercontact.bench.protocol import BenchError
-from fibercontact.bench.worker import Crashed, Hung, Refused, Worker
+from fibercontact.bench.worker import Crashed, Hung, Refused, Setting, Worker
 from fibercontact.local.contract import Status
 from fibercontact.local.one_contact import OneContacts, Replay, write
 from fibercontact.local.registry import Configured
@@ -94,14 +95,13 @@ def measure(plan: Plan, listener: Callable[[str], None]) -> Measured:
 
 @contextmanager
 def _worker(plan: Plan) -> Iterator[Worker]:
-    """A worker on one core, with one thread."""
+    """A worker on one core."""
     fingerprints = {solver.label: solver.registered.fingerprint for solver in plan.solvers}
-    worker = Worker(plan.plugins, fingerprints, usable_cores()[-1], desk="fibercontact.bench.contact_desk")
-    with one_thread():
-        try:
-            yield worker
-        finally:
-            worker.end()
+    worker = Worker(Setting(plan.plugins, fingerprints, contact_desk.__name__, usable_cores()[-1]))
+    try:
+        yield worker
+    finally:
+        worker.end()
 
 
 def _replay(worker: Worker, path: Path, solver: Configured, seconds: float, lost: dict[str, str]) -> Replay:

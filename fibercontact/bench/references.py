@@ -1,154 +1,84 @@
 """Ground truth for a whole set, in parallel, stored problem by problem, and what it says in one table."""
 
 import math
-import multiprocessing
-import signal
+import threading
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
-import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from fibercontact.bench.environment import one_thread
+from fibercontact.bench import reference_desk
+from fibercontact.bench.crew import share_out
+from fibercontact.bench.environment import memory_share
 from fibercontact.bench.problem_set import Entry
-from fibercontact.bench.protocol import BenchError
+from fibercontact.bench.reference_desk import Errand, Sought, seek
 from fibercontact.bench.report import number
 from fibercontact.bench.rows import Row
-from fibercontact.problem.fclib import read
-from fibercontact.problem.incremental import ProblemWarning
-from fibercontact.problem.measure import relative
-from fibercontact.reference.conic import Problem, condensed
-from fibercontact.reference.distance import friction_work, velocity_error
+from fibercontact.bench.worker import Setting, Worker
 from fibercontact.reference.existence import SOLVABLE, UNDECIDED, UNSOLVABLE
-from fibercontact.reference.ground_truth import GroundTruth, Search
+from fibercontact.reference.ground_truth import Search
 from fibercontact.reference.store import Store
 from fibercontact.reference.uniqueness import DIFFERENT
 
 __all__ = ["Listener", "find_references", "reference_frame", "reference_notes", "summary"]
 
-Array = NDArray[np.float64]
-
 Listener = Callable[[Row], None]
 """Is told each row as it comes."""
 
-TRIFLE = 1e-9
-"""Share of the largest `sigma_i r_N,i` below which a contact counts as transmitting no impulse."""
-
-
-class _Task(NamedTuple):
-    file: Path
-    key: str
-    name: str
-    scene: str
-    store: Path
-    search: Search
-
 
 def find_references(
-    entries: Sequence[Entry], file: Path, search: Search, jobs: int, listener: Listener
+    entries: Sequence[Entry],
+    file: Path,
+    search: Search,
+    jobs: int,
+    listener: Listener,
+    cluster: str | None = None,
+    memory: int | None = None,
 ) -> tuple[list[Row], list[str]]:
-    """Ground truth for every problem of a set, `jobs` at a time: the rows, in the set's order, and faults of files.
+    """Ground truth for every problem of a set, `jobs` at a time: the rows, in the set's order, and faults.
 
-    Each is stored when it is found; what is stored already is read and checked. Raises `BenchError` when a process
-    dies, `StoreError` on a file of references that cannot be read.
+    Each is stored when it is found; what is stored already is read and checked. `cluster` is the address of a Dask
+    scheduler whose workers find what is not stored. A process that dies or hangs costs its problem, whose fault says
+    so. Raises `StoreError` on a file of references that cannot be read, `BenchError` when the cluster cannot be used.
     """
-    tasks = [_Task(e.file, e.hash, e.name, e.scene, file, search) for e in entries]
-    largest_first = sorted(tasks, key=lambda task: -task.file.stat().st_size)
-    rows: dict[str, Row] = {}
-    faults: dict[str, str] = {}
-    with one_thread(), _crew(jobs) as crew:
-        waiting: dict[Future[Row], _Task] = {crew.submit(_row, task): task for task in largest_first}
-        while waiting:
-            done, _ = wait(waiting, timeout=1.0, return_when=FIRST_COMPLETED)
-            for future in done:
-                task = waiting.pop(future)
-                try:
-                    rows[task.key] = future.result()
-                    listener(rows[task.key])
-                except BrokenProcessPool:
-                    raise BenchError(
-                        f"{task.file}: a process died (out of memory?); what was found is kept: run it again"
-                    ) from None
-                except ValueError as fault:
-                    faults[task.key] = str(fault)
-    Store(file).pack()
-    return [rows[t.key] for t in tasks if t.key in rows], [faults[t.key] for t in tasks if t.key in faults]
+    store, rows, faults = Store(file), dict[str, Row](), dict[str, str]()
+    largest_first = sorted(entries, key=lambda entry: -entry.file.stat().st_size)
+    taking = threading.Lock()
+
+    def take(entry: Entry, sought: Sought) -> None:
+        with taking:
+            if isinstance(sought, str):
+                faults[entry.hash] = sought
+                return
+            rows[entry.hash], content = sought
+            if content:
+                store.keep(entry.hash, content)
+            listener(rows[entry.hash])
+
+    def find(worker: Worker, entry: Entry) -> None:
+        take(entry, seek(worker, entry.file, Errand(entry, search, file)))
+
+    lost: list[str] = []
+    stored = store.keys() if cluster else {entry.hash for entry in entries}
+    here = [entry for entry in largest_first if entry.hash in stored]
+    setting = Setting(desk=reference_desk.__name__, memory=memory or memory_share(jobs))
+    share_out(here, [Worker(setting) for _ in range(min(jobs, len(here)))], find)
+    if cluster:
+        errands = {e: Errand(e, search, None) for e in largest_first if e.hash not in stored}
+        lost = _on_cluster(errands, cluster, setting._replace(memory=memory), take)
+    store.pack()
+    known = [entry.hash for entry in entries]
+    return [rows[key] for key in known if key in rows], [faults[key] for key in known if key in faults] + lost
 
 
-@contextmanager
-def _crew(jobs: int) -> Iterator[ProcessPoolExecutor]:
-    """Worker processes, killed when the block is left early: none lives on after an interruption."""
-    crew = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), initializer=_begin)
-    try:
-        yield crew
-        crew.shutdown()
-    except BaseException:
-        crew.shutdown(wait=False, cancel_futures=True)
-        for child in multiprocessing.active_children():
-            child.kill()
-        raise
+def _on_cluster(
+    errands: dict[Entry, Errand], address: str, setting: Setting, take: Callable[[Entry, Sought], None]
+) -> list[str]:
+    from fibercontact.bench.cluster import Cluster
 
-
-def _begin() -> None:
-    """The parent decides what an interruption means."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _row(task: _Task) -> Row:
-    """Ground truth of one problem, stored, as a row."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ProblemWarning)  # of an asymmetry; said by `info`
-        problem = read(task.file).problem
-    found = Store(task.store).find(task.key, task.name, problem, task.search)
-    return {"problem": task.name, "scene": task.scene, "hash": task.key} | describe(problem, found)
-
-
-def describe(problem: Problem, found: GroundTruth) -> Row:
-    """What is known of a problem, in numbers; the associated model's distances are empty without a reference."""
-    row: Row = {
-        "contacts": problem.n,
-        "existence": found.existence.verdict,
-        "margin": found.existence.margin,
-        "reference": found.reference.method,
-        "residual": found.reference.residual,
-        "log": "; ".join(
-            f"{a.method} {a.residual:.1e} in {a.seconds:.2g} s" for a in found.reference.attempts
-        ),
-        "seconds": found.seconds,
-        "associated_gap": found.gap,
-    }
-    if found.reference.accepted:
-        row |= _cost_of_convexity(problem, found.associated, found.reference.r)
-        row |= {
-            "starts": found.uniqueness.tried,
-            "starts_reached": found.uniqueness.reached,
-            "solutions": 1 + len(found.uniqueness.others),
-            "distance": found.uniqueness.distance,
-        }
-    return row
-
-
-def _cost_of_convexity(problem: Problem, r: Array, r_ref: Array) -> Row:
-    """How far the associated model's answer is from Coulomb's: velocities, friction's work in J, lift-off speed.
-
-    The last is the largest `u_N` at a contact that transmits an impulse, relative to `b_ref`: none, by Coulomb's law.
-    """
-    incremental = condensed(problem)
-    u, u_ref = incremental.W @ r + incremental.b, incremental.W @ r_ref + incremental.b
-    size = incremental.sigma * r[::3]
-    closed = size > TRIFLE * size.max(initial=0.0)
-    return {
-        "associated_velocity_error": velocity_error(problem, r, r_ref),
-        "friction_work": friction_work(u_ref, r_ref),
-        "associated_friction_work": friction_work(u, r),
-        "associated_lift_off": relative(float(u[::3][closed].max(initial=0.0)), incremental.b_ref),
-    }
+    with Cluster(address, setting, warnings.warn) as cluster:
+        return cluster.share_out(errands, seek, take)
 
 
 def reference_frame(rows: Sequence[Row]) -> pd.DataFrame:

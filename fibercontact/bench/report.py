@@ -137,7 +137,7 @@ def write_report(report: Report, folder: Path) -> list[Path]:
     )
     for view in report.views:
         _write_figures(view, folder, "" if view is report.views[0] else f"-{view.accuracy}")
-    return sorted(file for file in folder.iterdir() if file.suffix != ".jsonl")
+    return sorted(file for file in folder.iterdir() if file.suffix not in (".jsonl", ".lock"))
 
 
 def _write_figures(view: View, folder: Path, suffix: str) -> None:

@@ -3,19 +3,37 @@
 import json
 import math
 import os
-from collections.abc import Iterator, Mapping
+import platform
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, BinaryIO
 
 from fibercontact.bench.protocol import BenchError, Limits
 
-__all__ = ["RATES", "TIMED", "Key", "Row", "RowFile", "move_away"]
+__all__ = [
+    "CLOCKS",
+    "RATES",
+    "ROWS",
+    "TIMED",
+    "Key",
+    "Row",
+    "RowFile",
+    "but_for_clocks",
+    "lines",
+    "move_away",
+]
 
 Row = dict[str, Any]
 
 TIMED, RATES = "timed", "rates"
+
+ROWS, LOCK = "rows.jsonl", "run.lock"
+"""Files of a run's folder: its rows, and what keeps a second run out of it."""
+
+CLOCKS = ("time_best", "time_median", "times", "setup_seconds", "load", "stamp", "cpu", "memory_limit")
+"""What may differ between two rows of the same measurement: clocks, and the machine that they were on."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +41,8 @@ class Key:
     """What a row is about. Two rows with the same key are one measurement made twice.
 
     `code` stands for the sources of the package that decide the numbers, `fingerprint` for those of the local
-    solver; `cpu` keeps the times of two machines apart.
+    solver. `cpu` keeps the times of two machines apart; it is empty where nothing is timed, for what is measured
+    then is the same on any machine.
     """
 
     problem_hash: str
@@ -45,7 +64,10 @@ class Key:
     def of(cls, row: Mapping[str, Any]) -> "Key | None":
         """The key of a row, None when the row is of another shape."""
         names = cls.__dataclass_fields__
-        return cls(**{name: row[name] for name in names}) if all(name in row for name in names) else None
+        if not all(name in row for name in names):
+            return None
+        given = {name: row[name] for name in names}
+        return cls(**given if row["mode"] == TIMED else given | {"cpu": ""})
 
     @property
     def limits(self) -> Limits:
@@ -58,36 +80,39 @@ class Key:
 
 
 class RowFile:
-    """The rows of a run folder, one JSON object a line, each on disk before the next is measured."""
+    """The rows of a run folder, one JSON object a line, each on disk before the next is measured.
+
+    A process that is killed while it writes leaves a line that is not whole, and nothing else amiss.
+    """
 
     def __init__(self, folder: Path) -> None:
-        self.path = folder / "rows.jsonl"
-        self.notes: list[str] = []
-        self._stream: TextIO | None = None
+        self.path = folder / ROWS
+        self._stream: BinaryIO | None = None
 
     def read(self) -> list[Row]:
-        """The rows that are there; a line that is not whole is left out, with a note."""
+        """The rows that are there; lines that are not whole are left out."""
+        return self._read()[0]
+
+    def notes(self) -> list[str]:
+        """What must be said of the file: how many lines are not whole."""
+        torn = self._read()[1]
+        return [f"{self.path}: {torn} torn line(s) left out, to be measured again"] if torn else []
+
+    def _read(self) -> tuple[list[Row], int]:
         if not self.path.is_file():
-            return []
-        rows, torn = [], 0
-        for line in self.path.read_bytes().splitlines():
-            row = _parsed(line)
-            if row is None:
-                torn += 1
-            else:
-                rows.append(row)
-        if torn:
-            self.notes.append(f"{self.path}: {torn} torn line(s) left out, to be measured again")
-        return rows
+            return [], 0
+        found = [_parsed(line) for line in self.path.read_bytes().splitlines() if line.strip()]
+        rows = [row for row in found if row is not None]
+        return rows, len(found) - len(rows)
 
     @contextmanager
     def appending(self) -> Iterator[None]:
-        """Open for `append`; raises `BenchError` while another process has it open."""
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        with self.path.open("a+", encoding="utf-8") as stream:
-            _lock(stream, self.path)
+        """Open for `append`; raises `BenchError` while another run has the folder."""
+        folder = self.path.parent
+        folder.mkdir(parents=True, exist_ok=True)
+        with _locked(folder), self.path.open("ab") as stream:
             if not _ends_with_newline(self.path):
-                stream.write("\n")  # a torn line stays a line of its own
+                stream.write(b"\n")  # a torn line stays a line of its own
             self._stream = stream
             try:
                 yield
@@ -97,14 +122,25 @@ class RowFile:
     def append(self, row: Row) -> None:
         """Write one row and make sure that it is on the disk."""
         assert self._stream is not None, "append outside of appending()"
-        self._stream.write(json.dumps({name: _plain(value) for name, value in row.items()}) + "\n")
+        self._stream.write(lines([row]))
         self._stream.flush()
         os.fsync(self._stream.fileno())
 
 
+def lines(rows: Iterable[Row]) -> bytes:
+    """Rows as a file of rows has them."""
+    texts = (json.dumps({name: _plain(value) for name, value in row.items()}) for row in rows)
+    return "".join(f"{text}\n" for text in texts).encode()
+
+
+def but_for_clocks(row: Row) -> Row:
+    """The part of a row that is the same whenever and wherever it is measured."""
+    return {name: value for name, value in row.items() if name not in CLOCKS}
+
+
 def _parsed(line: bytes) -> Row | None:
     try:
-        row = json.loads(line) if line.strip() else {}
+        row = json.loads(line)
     except ValueError:
         return None
     return row if isinstance(row, dict) else None
@@ -123,22 +159,44 @@ def _ends_with_newline(path: Path) -> bool:
         return stream.read(1) == b"\n"
 
 
-def _lock(stream: TextIO, path: Path) -> None:
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Keep other runs out of a folder until this one ends, however it ends; raises `BenchError` when one is there.
+
+    The system takes the lock off a process that dies. What the file says is for the refusal alone.
+    """
+    with (folder / LOCK).open("a+", encoding="utf-8") as stream:
+        if not _lock(stream.fileno()):
+            stream.seek(0)
+            raise BenchError(f"{folder}: another run is writing to it ({stream.read().strip()})")
+        stream.truncate(0)
+        stream.write(f"process {os.getpid()} on {platform.node()}\n")
+        stream.flush()
+        yield
+
+
+def _lock(descriptor: int) -> bool:
+    """Whether the lock on an open file is ours now."""
     try:
         import fcntl
     except ImportError:  # not a POSIX system: nothing to lock with
-        return
+        return True
     try:
-        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
-        raise BenchError(f"{path}: another run is writing to it") from None
+        return False
+    return True
 
 
 def move_away(folder: Path) -> Path | None:
-    """Rename a run folder to the first free `FOLDER.1`, `FOLDER.2`, …; None when there is nothing to move."""
+    """Rename a run folder to the first free `FOLDER.1`, `FOLDER.2`, …; None when there is nothing to move.
+
+    Raises `BenchError` while a run is writing to it.
+    """
     if not folder.exists():
         return None
     number = 1
     while (target := folder.with_name(f"{folder.name}.{number}")).exists():
         number += 1
-    return folder.rename(target)
+    with _locked(folder):
+        return folder.rename(target)

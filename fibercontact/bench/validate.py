@@ -141,8 +141,8 @@ def validate(
     """
     store = Store(references)
     file, result = RowFile(folder), Comparison([], [], [])
-    known = {_key(row): row for row in file.read()}
     with file.appending():
+        known = {_key(row): row for row in file.read()}
         for entry in entries:
             problem = read(entry.file).problem
             if problem.n > max_contacts:

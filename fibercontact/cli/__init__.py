@@ -19,6 +19,7 @@ from fibercontact.cli import (
     reference,
     render,
     report,
+    runs,
     simulate,
     solve,
     solvers,
@@ -36,6 +37,7 @@ app = typer.Typer(
 )
 
 app.command("table")(table.table)
+app.add_typer(runs.runs, name="runs")
 app.command("solve")(solve.solve)
 app.command("explain")(explain.explain)
 app.command("info")(info.info)

@@ -12,7 +12,7 @@ from fibercontact.cli.solvers import Plugins
 
 if TYPE_CHECKING:
     from fibercontact.bench.explain import Facts
-    from fibercontact.bench.run import Unit
+    from fibercontact.bench.plan import Unit
     from fibercontact.bench.visits import VisitRecord
 
 __all__ = ["explain"]
@@ -53,9 +53,9 @@ def explain(
         check_known("outer loop", [outer], OUTERS)
         _check_alone(context, log)
         from fibercontact.bench.explain_words import title, words
+        from fibercontact.bench.plan import single
         from fibercontact.bench.problem_set import find_problem
         from fibercontact.bench.protocol import Limits
-        from fibercontact.bench.run import single
         from fibercontact.bench.visits import check_sweeps
         from fibercontact.local.registry import configure, registered
 

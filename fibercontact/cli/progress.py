@@ -8,8 +8,9 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from fibercontact.bench.measurement import Listener
+from fibercontact.bench.plan import Unit
 from fibercontact.bench.rows import Key, Row, RowFile
-from fibercontact.bench.run import Listener, Unit
 
 __all__ = ["listening"]
 

@@ -7,6 +7,7 @@ import typer
 
 from fibercontact.cli.errors import user_errors
 from fibercontact.cli.screen import print_notes, print_table, screen
+from fibercontact.cli.workers import Dask, Memory, in_bytes
 
 __all__ = ["reference"]
 
@@ -27,6 +28,8 @@ def reference(
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="SET.references.hdf5 beside the set by default.")
     ] = None,
+    memory: Memory = None,
+    dask: Dask = None,
 ) -> None:
     """Find and store the truth about every problem of a set; the problems' own files are never touched.
 
@@ -40,6 +43,8 @@ def reference(
     fibercontact reference core306 --jobs 2
 
     fibercontact reference my_problems/ --limit 10 --max-seconds 20
+
+    fibercontact reference my_problems/ --dask tcp://scheduler:8786
     """
     with user_errors():
         from fibercontact.bench.environment import usable_cores
@@ -70,8 +75,9 @@ def reference(
         try:
             with Progress(console=Console(stderr=True), transient=True) as progress:
                 task = progress.add_task("reference", total=len(entries))
+                search = Search(bar, max_seconds, starts)
                 rows, faults = find_references(
-                    entries, file, Search(bar, max_seconds, starts), jobs or len(usable_cores()), listen
+                    entries, file, search, jobs or len(usable_cores()), listen, dask, in_bytes(memory)
                 )
         except KeyboardInterrupt:
             typer.echo(

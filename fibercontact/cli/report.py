@@ -50,9 +50,9 @@ def report(
     """
     with user_errors():
         from fibercontact.bench.html_report.page import write_page
-        from fibercontact.bench.html_report.runs import read_run, renamed
+        from fibercontact.bench.html_report.runs import renamed, reported
 
-        found = renamed([read_run(folder) for folder in runs])
+        found = renamed([reported(folder) for folder in runs])
         file = out or (runs[0] / "report.html" if len(runs) == 1 else Path("report.html"))
         _check(file, problems or [], problem or [], found)
         shown = [_shown(run, curves, problem or [], rods, problems or [], plugin or []) for run in found]

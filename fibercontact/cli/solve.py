@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from fibercontact.bench.passes import Laid
+    from fibercontact.bench.plan import Unit
     from fibercontact.bench.protocol import Limits
-    from fibercontact.bench.run import Unit
     from fibercontact.gauss_seidel.solver import GaussSeidel
     from fibercontact.global_methods.registry import ConfiguredMethod
     from fibercontact.local.registry import Configured
@@ -98,8 +98,8 @@ def solve(
 def _unit_to_log(
     file: Path, local: "Configured", accuracy: str, start: str, outer: str, limits: "Limits"
 ) -> "Unit":
+    from fibercontact.bench.plan import single
     from fibercontact.bench.problem_set import entry_of
-    from fibercontact.bench.run import single
     from fibercontact.bench.visits import check_sweeps
 
     check_sweeps(limits.sweeps)

@@ -11,11 +11,12 @@ from fibercontact.cli.errors import check_known, user_errors
 from fibercontact.cli.level1 import one_contact_table
 from fibercontact.cli.screen import print_notes, print_table, screen
 from fibercontact.cli.solvers import Plugins, split_solvers
+from fibercontact.cli.workers import Dask, Memory, in_bytes
 
 if TYPE_CHECKING:
+    from fibercontact.bench.plan import Plan
     from fibercontact.bench.report import Report
     from fibercontact.bench.rows import Row, RowFile
-    from fibercontact.bench.run import Plan
     from fibercontact.global_methods.registry import AnyConfigured
     from fibercontact.local.loading import Registered
     from fibercontact.local.registry import Configured
@@ -79,6 +80,8 @@ def table(
             metavar="visits", help="Log the visits of the passes that are not timed, in FOLDER/visits."
         ),
     ] = None,
+    memory: Memory = None,
+    dask: Dask = None,
 ) -> None:
     """Replay a set of problems through the solvers: failure rates, sweeps and times, in one table.
 
@@ -98,6 +101,8 @@ def table(
 
     fibercontact table --solvers secular --peers siconos,pinocchio --accuracy mid
 
+    fibercontact table --dask tcp://scheduler:8786 --rates mid
+
     fibercontact table --level 1
     """
     with user_errors():
@@ -107,9 +112,9 @@ def table(
         check_known("outer loop", [outer], OUTERS)
         check_known("log", [log] if log else [], LOGS)
         if level == 1:
-            if accuracy or rates or log or all_global or peers:
+            if accuracy or rates or log or all_global or peers or dask or memory:
                 raise BenchError(
-                    "--accuracy, --rates, --log, --peers and --global belong to level 3: "
+                    "--accuracy, --rates, --log, --peers, --dask, --memory and --global belong to level 3: "
                     "at level 1 each contact is solved once"
                 )
             one_contact_table(
@@ -117,14 +122,17 @@ def table(
             )
             return
         from fibercontact.bench.environment import usable_cores
+        from fibercontact.bench.plan import Plan
         from fibercontact.bench.problem_set import find_set, limited, load_set
         from fibercontact.bench.protocol import Limits
         from fibercontact.bench.rows import RowFile, move_away
-        from fibercontact.bench.run import Plan
         from fibercontact.bench.visits import check_sweeps
 
         if log:
             check_sweeps(max_sweeps)
+        if dask:
+            _check_cluster(accuracy, log)
+            rates = rates or ["low"]
         folder = find_set(problems or "core306")
         entries = limited(load_set(folder), limit)
         plan = Plan(
@@ -139,12 +147,24 @@ def table(
             limits=Limits(max_sweeps, max_seconds),
             plugins=plugin or [],
             visits=log is not None,
+            memory=in_bytes(memory),
         )
         run_folder = out or Path("runs") / folder.resolve().name
         if fresh and (moved := move_away(run_folder)):
             typer.echo(f"the earlier run is in {moved} now")
-        faults = _run(plan, RowFile(run_folder))
+        faults = _run(plan, RowFile(run_folder), dask)
         _finish(plan, RowFile(run_folder), run_folder, faults)
+
+
+def _check_cluster(accuracy: Sequence[str] | None, log: str | None) -> None:
+    """Raise `BenchError` on what is not done on a cluster."""
+    if accuracy:
+        raise BenchError(
+            "times are not taken on a cluster: ask for --rates there; the same command without --dask and with "
+            "--accuracy then takes the times here, in the same folder"
+        )
+    if log:
+        raise BenchError("visits are not logged on a cluster: --log and --dask do not go together")
 
 
 def _ordered(levels: Sequence[str] | None) -> list[str]:
@@ -202,14 +222,14 @@ def _with_plugins(
     return list(dict.fromkeys([*given, *(name for name in known if known[name].origin in files)]))
 
 
-def _run(plan: "Plan", rows: "RowFile") -> list[str]:
+def _run(plan: "Plan", rows: "RowFile", dask: str | None) -> list[str]:
     from fibercontact.bench.run import run
     from fibercontact.cli.progress import listening
 
     units = plan.work()
     try:
         with listening(units, rows) as listener:
-            return run(plan, rows, listener)
+            return run(plan, rows, listener, dask)
     except KeyboardInterrupt:
         typer.echo(f"interrupted; the same command continues from {rows.path}", err=True)
         raise typer.Exit(130) from None

@@ -24,7 +24,17 @@ from fibercontact.errors import UserError
 from fibercontact.jit import cache_folder, content_key
 from fibercontact.local.contract import Declared
 
-__all__ = ["BUILT_IN", "Kinds", "Registered", "SolverError", "built_in", "installed", "plugin", "resolved"]
+__all__ = [
+    "BUILT_IN",
+    "Kinds",
+    "Registered",
+    "SolverError",
+    "built_in",
+    "installed",
+    "plugin",
+    "resolved",
+    "with_neighbours",
+]
 
 Solver = TypeVar("Solver", bound=Declared, covariant=True)
 Kinds = tuple[type[Declared], ...]
@@ -103,7 +113,7 @@ def plugin(path: Path, kinds: Kinds) -> Registered[Any]:
         raise SolverError(f"{path}: no such file")
     name = path.stem.replace("_", "-")
     try:
-        files = _with_neighbours(path)
+        files = with_neighbours(path)
         fingerprint = content_key(files)
         identifier = f"fibercontact_plugin_{path.stem}_{fingerprint}"
         if identifier not in sys.modules:
@@ -145,7 +155,7 @@ def _load(path: Path, identifier: str, fingerprint: str) -> None:
         raise
 
 
-def _with_neighbours(path: Path) -> list[Path]:
+def with_neighbours(path: Path) -> list[Path]:
     """The plugin and the modules beside it that it imports, at any depth."""
     seen, todo = [path], [path]
     while todo:

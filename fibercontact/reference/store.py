@@ -34,7 +34,7 @@ from fibercontact.reference.ground_truth import GroundTruth, Search, ground_trut
 from fibercontact.reference.truth import NONE, Attempt, Reference
 from fibercontact.reference.uniqueness import Uniqueness
 
-__all__ = ["Store", "StoreError", "references_file"]
+__all__ = ["Store", "StoreError", "part", "references_file"]
 
 Array = NDArray[np.float64]
 
@@ -84,12 +84,21 @@ class Store:
         return known
 
     def put(self, key: str, name: str, problem: Problem, found: GroundTruth, search: Search) -> None:
-        """Write the part of one problem, whole or not at all."""
-        image = io.BytesIO()
-        with h5py.File(image, "w", libver=("v110", "v110")) as file:
-            _write(file.create_group(key), name, problem, found, search)
+        """Write the part of one problem."""
+        self.keep(key, part(key, name, problem, found, search))
+
+    def keep(self, key: str, content: bytes) -> None:
+        """Write the part of one problem, whole or not at all; `content` is what `part` made, here or elsewhere."""
         self.parts.mkdir(parents=True, exist_ok=True)
-        replace_file(self.parts / f"{key}.hdf5", image.getvalue())
+        replace_file(self.parts / f"{key}.hdf5", content)
+
+    def keys(self) -> set[str]:
+        """The problems of which something is stored."""
+        packed: set[str] = set()
+        if self.file.exists():
+            with _opened(self.file) as file:
+                packed = set(file)
+        return packed | {path.stem for path in self.parts.glob("*.hdf5")}
 
     def pack(self) -> None:
         """Move the parts into the file, which is replaced whole; parts go before what it held."""
@@ -104,6 +113,14 @@ class Store:
                         source.copy(key, target)
         replace_file(self.file, image.getvalue())
         shutil.rmtree(self.parts)
+
+
+def part(key: str, name: str, problem: Problem, found: GroundTruth, search: Search) -> bytes:
+    """What is stored of one problem: a file of its own until the run is packed."""
+    image = io.BytesIO()
+    with h5py.File(image, "w", libver=("v110", "v110")) as file:
+        _write(file.create_group(key), name, problem, found, search)
+    return image.getvalue()
 
 
 def _write(group: h5py.Group, name: str, problem: Problem, found: GroundTruth, search: Search) -> None:

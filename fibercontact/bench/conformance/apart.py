@@ -11,7 +11,7 @@ from fibercontact.bench.conformance.contacts import PAGE, from_page, ordinary
 from fibercontact.bench.conformance.required import answers
 from fibercontact.bench.conformance.subject import Subject
 from fibercontact.bench.conformance.suite import CHECKS, Outcome, Verdict, examine, failed
-from fibercontact.bench.worker import START_SECONDS, Crashed, Hung, Refused, Worker
+from fibercontact.bench.worker import START_SECONDS, Crashed, Hung, Refused, Setting, Worker
 from fibercontact.local.registry import Configured, configure, registered
 
 __all__ = ["Desk", "examine_apart"]
@@ -66,8 +66,8 @@ class _Examiner:
 
     def __init__(self, local: Configured, plugins: Sequence[Path], seconds: float, page: Path) -> None:
         self._local, self._seconds, self._page = local, seconds, page
-        fingerprints = {local.label: local.registered.fingerprint}
-        self._worker, self._second = (Worker(plugins, fingerprints, desk=__name__) for _ in range(2))
+        setting = Setting(plugins, {local.label: local.registered.fingerprint}, desk=__name__)
+        self._worker, self._second = Worker(setting), Worker(setting)
         self._lost = 0
         self._stopped = ""
 

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from fibercontact.bench.environment import one_thread
 from fibercontact.bench.html_report.figures import Curve
 from fibercontact.bench.html_report.runs import RunRead
+from fibercontact.bench.measurement import GRACE_SECONDS
 from fibercontact.bench.passes import LogOrder, Pass
 from fibercontact.bench.problem_set import Entry
 from fibercontact.bench.protocol import GLOBAL, Limits
 from fibercontact.bench.rows import Key, Row
-from fibercontact.bench.run import GRACE_SECONDS
 from fibercontact.bench.visits import MOST_SWEEPS, about, read_log
-from fibercontact.bench.worker import Crashed, Hung, Refused, Worker
+from fibercontact.bench.worker import Crashed, Hung, Refused, Setting, Worker
 from fibercontact.errors import UserError
 from fibercontact.peers.registry import configure, registered
 
@@ -82,7 +82,7 @@ def solving_again(run: RunRead, plugins: Sequence[Path]) -> Iterator[Again]:
             changed.append(label)
     if changed:
         remarks.append(f"solved here by other sources than the run's: {', '.join(changed)}")
-    worker = Worker(plugins, fingerprints)
+    worker = Worker(Setting(plugins, fingerprints))
     with one_thread(), tempfile.TemporaryDirectory() as scratch:
         try:
             yield Again(list(fingerprints), remarks, worker, Path(scratch))

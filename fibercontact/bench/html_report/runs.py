@@ -8,13 +8,11 @@ from pathlib import Path
 import pandas as pd
 
 from fibercontact.bench.protocol import ACCURACIES, DEFAULT_SOLVERS, GLOBAL, BenchError
+from fibercontact.bench.record import Record, read_run
 from fibercontact.bench.report import View, make_report
 from fibercontact.bench.rows import RATES, TIMED, Key, Row, RowFile
 
-__all__ = ["SETTING", "RunRead", "read_run", "renamed"]
-
-CSV = ("rows.csv", "rows.csv.gz")
-"""Rows as a finished run leaves them, read where the run's own file has not been kept."""
+__all__ = ["SETTING", "RunRead", "renamed", "reported"]
 
 TEXTS = (
     "problem", "problem_hash", "scene", "existence", "solver", "fingerprint", "options", "accuracy", "start", "outer",
@@ -35,8 +33,8 @@ UNKNOWN = (
 """Numbers that may be missing."""
 FLAGS = ("claimed", "solved", "false_success")
 
-SETTING = ("protocol", "code", "cpu", "start", "max_sweeps", "max_seconds")
-"""What all rows of one table have in common."""
+SETTING = ("protocol", "code", "start", "max_sweeps", "max_seconds")
+"""What all rows of one table have in common; timed ones also the machine."""
 NAMED = 3
 """Solvers whose missing rows are told."""
 
@@ -53,14 +51,16 @@ class RunRead:
     remarks: Sequence[str]
 
 
-def read_run(folder: Path) -> RunRead:
+def reported(folder: Path) -> RunRead:
     """Read the folder that `fibercontact table --out` writes, finished or not; `rows.csv.gz` alone will do.
 
     Where it holds rows of several settings (protocol, code, machine, start, limits), those of the newest row's are
     taken. Raises `BenchError` naming the folder and the fault.
     """
-    found, remarks = _found(folder)
-    rows = [_checked(row, number, folder) for number, row in enumerate(found, start=1)]
+    record, remarks = read_run(folder), RowFile(folder).notes()
+    if not record.every:
+        raise BenchError(f"{folder}: no rows yet")
+    rows = [_checked(row, number, folder) for number, row in enumerate(record.every, start=1)]
     newest = list(_newest(rows))
     if aside := len(rows) - len(newest):
         remarks.append(f"{aside} row(s) of other code, solvers, settings or another machine are left aside")
@@ -71,7 +71,7 @@ def read_run(folder: Path) -> RunRead:
     except BenchError as fault:
         raise BenchError(f"{folder}: {fault}") from None
     frame = pd.concat([view.rows for view in views], ignore_index=True)
-    remarks += [*_missing(views, solvers), *_unfinished(folder)]
+    remarks += [*_missing(record, views, solvers), *_unfinished(folder)]
     return RunRead(folder.resolve().name, folder, solvers, frame, views, remarks)
 
 
@@ -79,36 +79,6 @@ def renamed(runs: Sequence[RunRead]) -> list[RunRead]:
     """The same runs; those that share a folder's name go by their path."""
     names = [run.name for run in runs]
     return [replace(run, name=str(run.folder)) if names.count(run.name) > 1 else run for run in runs]
-
-
-def _found(folder: Path) -> tuple[list[Row], list[str]]:
-    """The rows of a folder as they stand there, at least one, and notes on them."""
-    if not folder.is_dir():
-        raise BenchError(f"{folder}: no such folder")
-    file = RowFile(folder)
-    source = next((folder / name for name in CSV if (folder / name).is_file()), None)
-    if file.path.is_file():
-        rows, source = file.read(), file.path
-    elif source is not None:
-        rows = _from_csv(source)
-    else:
-        raise BenchError(f"{folder}: not the folder of a run: neither {file.path.name} nor {CSV[0]} in it")
-    whole = [row for row in rows if Key.of(row) is not None]
-    if not whole:
-        raise BenchError(f"{source}: no rows of a table of whole problems")
-    aside = [f"{len(rows) - len(whole)} row(s) of another shape are left aside"] * (len(whole) < len(rows))
-    return whole, [*file.notes, *aside]
-
-
-def _from_csv(file: Path) -> list[Row]:
-    numbers = {name: [""] for name in (*NUMBERS, *UNKNOWN)}
-    try:
-        frame = pd.read_csv(
-            file, dtype=dict.fromkeys(TEXTS, str), keep_default_na=False, na_values=numbers, low_memory=False
-        )
-    except (ValueError, EOFError, OSError) as fault:
-        raise BenchError(f"{file}: not readable as rows ({' '.join(str(fault).split())})") from None
-    return [{str(name): value for name, value in row.items()} for row in frame.to_dict("records")]
 
 
 def _checked(row: Row, number: int, folder: Path) -> Row:
@@ -138,7 +108,9 @@ def _newest(rows: Sequence[Row]) -> Iterator[Row]:
     """The rows of the newest setting and, of each solver, of its newest source; each measurement once."""
     by_age = sorted(rows, key=lambda row: row["stamp"])
     setting = [by_age[-1][name] for name in SETTING]
-    mine = [row for row in by_age if [row[name] for name in SETTING] == setting]
+    alike = [row for row in by_age if [row[name] for name in SETTING] == setting]
+    machine = next((row["cpu"] for row in reversed(alike) if row["mode"] == TIMED), "")
+    mine = [row for row in alike if row["mode"] == RATES or row["cpu"] == machine]
     loop = {row["outer"] for row in [row for row in mine if row["outer"] != GLOBAL][-1:]}
     source = {row["solver"]: (row["fingerprint"], row["options"]) for row in mine}
     kept = {
@@ -173,8 +145,12 @@ def _views(rows: Sequence[Row], solvers: Sequence[str]) -> list[View]:
     return views
 
 
-def _missing(views: Sequence[View], solvers: Sequence[str]) -> Iterator[str]:
-    """A sentence on each accuracy at which some solver has no row on some problem."""
+def _missing(record: Record, views: Sequence[View], solvers: Sequence[str]) -> Iterator[str]:
+    """Sentences on rows that were asked for and are not there; or that some solver has not on some problem."""
+    if record.asked:
+        if gone := record.wanted - {Key.of(row) for row in record.rows}:
+            yield f"incomplete: {len(gone)} of {len(record.wanted)} rows that were asked for are missing"
+        return
     problems = set().union(*(view.rows["problem_hash"] for view in views))
     for view in views:
         counts = view.rows.groupby("solver")["problem_hash"].nunique().reindex(list(solvers), fill_value=0)
