@@ -61,7 +61,7 @@ RODS = ProblemSet(
 """The same two scenes, one of clamped and one of free fibres, with each of the three rod models."""
 
 LARGE = ProblemSet("large", tuple(HEADS.values()), per_scene=4, fewest=3000, most=30_000)
-"""From heads of hair, two thousand fibres on most: some 200 MB and twenty minutes, so made where it is wanted."""
+"""From heads of up to four thousand fibres: some 250 MB and half an hour, so made where it is wanted."""
 
 SETS = {problems.name: problems for problems in (CORE, RODS, LARGE)}
 """The sets by name."""
