@@ -16,6 +16,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from fibercontact.bench.problem_set import find_set, limited, load_set
+from fibercontact.gauss_seidel.blocks import block_system
+from fibercontact.gauss_seidel.interior_point import interior_point
 from fibercontact.problem.fclib import read
 from fibercontact.problem.measure import measure
 from fibercontact.problem.step import StepProblem
@@ -49,6 +51,13 @@ def polished(form: Callable) -> Callable:
     return way
 
 
+def central_path(step: StepProblem, seconds: float) -> Array:
+    problem = step.condense()
+    deadline = time.perf_counter() + 0.5 * seconds
+    run = interior_point(block_system(problem), problem.b_ref, TARGET * problem.b_ref, deadline=deadline)
+    return sweeps(step, run.r, 0.5 * seconds)
+
+
 WAYS = {
     "Cadoux, plain": plain_cadoux,
     "Cadoux, staged": staged_cadoux,
@@ -57,6 +66,7 @@ WAYS = {
     "Cadoux, then sweeps": polished(velocity_form),
     "Cadoux in impulses, then sweeps": polished(impulse_form),
     "sharp Cadoux, then sweeps": polished(sharp_form),
+    "central path, then sweeps": central_path,
 }
 
 

@@ -1,4 +1,4 @@
-"""The interior-point method: its algebra from definitions, its answers by the law, and what it is for."""
+"""The interior-point method: its variables, its answers by the law, and what it is for."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,14 +6,13 @@ from pathlib import Path
 import numpy as np
 import oracles
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.sparse import eye_array
 
 from fibercontact.gauss_seidel import interior_point as method
+from fibercontact.gauss_seidel import solver as outer
 from fibercontact.gauss_seidel.blocks import block_system
 from fibercontact.gauss_seidel.interior_point import interior_point
-from fibercontact.gauss_seidel.solver import LARGEST_RESCUE, LOOPS, GaussSeidel, Outcome
+from fibercontact.gauss_seidel.solver import LOOPS, GaussSeidel, Outcome
 from fibercontact.local.registry import configure, registered
 from fibercontact.problem.fclib import read
 from fibercontact.problem.incremental import IncrementalProblem
@@ -24,13 +23,6 @@ JAMMED = CORE / "comb-curly-91-mu1-171.hdf5"
 NO_SOLUTION = IncrementalProblem.from_sparse(
     0.0 * eye_array(3) + np.diag([0.0, 1.0, 1.0]), -np.ones(3), np.ones(1)
 )
-tangents = st.tuples(st.floats(-10, 10), st.floats(-10, 10))
-inside = st.tuples(st.floats(1e-3, 10), tangents).map(lambda p: (np.hypot(*p[1]) + p[0], *p[1]))
-anything = st.tuples(st.floats(-10, 10), tangents).map(lambda p: (p[0], *p[1]))
-
-
-def one(vector):
-    return np.array([vector])
 
 
 def solver(**how):
@@ -44,78 +36,30 @@ def answer(problem, tolerance=1e-6):
     return run, found
 
 
-# the algebra of the cones
-
-
-@given(inside, inside)
-def test_the_scaling_takes_both_points_to_the_same_one(x, y):
-    scaling = method._scale(one(x), one(y))
-    theta, inverse = scaling.theta[0], scaling.inverse[0]
-    np.testing.assert_allclose(theta @ inverse, np.eye(3), atol=1e-6)
-    np.testing.assert_allclose(theta, theta.T)
-    np.testing.assert_allclose(theta @ x, inverse @ y, rtol=1e-6, atol=1e-6)
-    np.testing.assert_allclose(scaling.point[0], theta @ x)
-
-
-@given(inside, anything)
-def test_the_quotient_undoes_the_jordan_product(x, y):
-    z = oracles.arrow(np.array(x)) @ y
-    np.testing.assert_allclose(method._quotient(one(z), one(x))[0], y, rtol=1e-5, atol=1e-5)
-
-
-@given(inside, anything)
-def test_the_longest_step_ends_on_the_cone(x, dx):
-    x, dx = np.array(x), np.array(dx)
-    with np.errstate(all="ignore"):  # as in the method
-        step = method._longest(one(x), one(dx))
-
-    def margin(share):
-        z = x + share * dx
-        return z[0] - np.hypot(z[1], z[2])
-
-    if step > 1e6:  # along the cone, but for rounding
-        assert margin(1e6) > -1e-3
-        return
-    assert step > 0
-    assert margin(step) == pytest.approx(0, abs=1e-6 * (1 + step * np.abs(dx).max()))
-    assert margin(0.999 * step) > 0
-
-
-def test_the_step_is_newtons():
-    """Full and towards no centre, it cancels the linearised equations: finite differences of both."""
-    problem = oracles.strands(1).condense()
-    cones = method._in_cones(block_system(problem), problem.b_ref)
-    rng = np.random.default_rng(2)
-    x, y = (np.abs(rng.standard_normal((problem.n, 3))) + np.array([3, 0, 0]) for _ in range(2))
-    scaling = method._scale(x, y)
-
-    def law(y):
-        slip = y.copy()
-        slip[:, 0] -= np.hypot(y[:, 1], y[:, 2])
-        return method._apply(cones, x) + cones.c - slip
-
-    rho = law(y)
-    target = rng.standard_normal(x.shape)
-    dx, dy = method._factor(cones, scaling, rho)(target)
-    h = 1e-6
-    change = (law(y + h * dy) - law(y - h * dy)) / (2 * h)
-    np.testing.assert_allclose(rho + method._apply(cones, dx) + change, 0, atol=1e-7)
-    scaled = np.einsum("nij,nj->ni", scaling.theta, dx) + np.einsum("nij,nj->ni", scaling.inverse, dy)
-    for i in range(problem.n):
-        np.testing.assert_allclose(oracles.arrow(scaling.point[i]) @ scaled[i], target[i], atol=1e-9)
+# the change of variables
 
 
 def test_the_variables_are_those_of_the_docstring():
     problem = oracles.strands(3).condense()
-    cones = method._in_cones(block_system(problem), problem.b_ref)
+    equations, impulse = method._in_cones(block_system(problem), problem.b_ref)
     x = np.random.default_rng(0).standard_normal((problem.n, 3))
-    r = (cones.impulse * x).ravel()
+    r = (impulse * x).ravel()
     s = np.sqrt(problem.sigma)
     u = (problem.W @ r + problem.b).reshape(-1, 3)
     expected = np.column_stack([u[:, 0] / problem.mu, u[:, 1], u[:, 2]]) / s[:, None]
     expected *= np.sqrt(np.mean(problem.sigma)) / problem.b_ref
-    np.testing.assert_allclose(method._apply(cones, x) + cones.c, expected, rtol=1e-9, atol=1e-9)
-    assert np.allclose(cones.A.diagonal()[1::3] + cones.A.diagonal()[2::3] <= 3.0 + 1e-9, True)
+    found = (equations.A @ x.ravel()).reshape(x.shape) + equations.c
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    dense = equations.A.toarray()
+    blocks = [dense[3 * i : 3 * i + 3, 3 * i : 3 * i + 3].T for i in range(problem.n)]
+    np.testing.assert_array_equal(equations.A.data[equations.diagonal], blocks)
+
+
+def test_contacts_without_friction_take_no_tangential_numbers():
+    problem = oracles.strands(3, mu=0.0).condense()
+    equations, impulse = method._in_cones(block_system(problem), problem.b_ref)
+    assert equations.A.nnz == len(problem.W.indices) + 8 * problem.n
+    np.testing.assert_array_equal(impulse[:, 1:], 0)
 
 
 # its answers
@@ -127,7 +71,7 @@ def test_it_solves_coulombs_law(seed, mu):
     problem = oracles.strands(seed, contacts=14, mu=mu).condense()
     run, found = answer(problem)
     assert found.residual <= 1e-6
-    assert 0 < run.iterations <= 60
+    assert 0 < run.iterations <= 150
     assert found.cone_violation <= 1e-12 * np.abs(run.r).max()
 
 
@@ -155,6 +99,16 @@ def test_units_change_nothing(scale_w, scale_b):
     np.testing.assert_allclose(scaled.r * scale_w / scale_b, one.r, atol=1e-5 * np.abs(one.r).max())
 
 
+def test_another_start_is_tried_where_a_path_is_lost(monkeypatch):
+    problem = oracles.strands(57, rods=3, dofs=6, contacts=10, mu=5.0).condense()
+    run, found = answer(problem)
+    assert found.residual <= 1e-6
+    monkeypatch.setattr(method, "STARTS", method.STARTS[:1])
+    alone, found = answer(problem)
+    assert found.residual > 1e-3
+    assert alone.iterations < run.iterations
+
+
 def test_a_problem_without_solution_ends_and_is_not_solved():
     run, found = answer(NO_SOLUTION)
     assert np.isfinite(run.r).all()
@@ -164,7 +118,7 @@ def test_a_problem_without_solution_ends_and_is_not_solved():
 def test_the_deadline_is_kept():
     problem = read(JAMMED).problem.condense()
     run = interior_point(block_system(problem), problem.b_ref, 1e-12, deadline=0.0)
-    assert run.iterations == 1
+    assert run.iterations <= 1
 
 
 # what it is for
@@ -179,7 +133,17 @@ def test_a_jammed_problem_is_solved_where_sweeps_stall():
     assert sweeps.rescue == 0
     assert robust.claimed
     assert robust.rescue > 0
+    assert robust.sweeps == 300  # the method's own answer was good enough
     assert measure(problem, robust.r).residual <= 1e-8
+
+
+@pytest.mark.skipif(not JAMMED.exists(), reason="the set of problems is not here")
+@pytest.mark.parametrize("name", ["plane-straight-24-mu1-170", "plane-straight-24-mu1-198"])
+def test_the_problems_of_worst_conditioning_are_solved(name):
+    problem = read(JAMMED.with_name(f"{name}.hdf5")).problem.condense()
+    run = solver(tolerance=1e-8).solve(problem)
+    assert run.claimed
+    assert measure(problem, run.r).residual <= 1e-8
 
 
 def test_the_rescue_comes_when_it_is_due_and_not_before():
@@ -202,7 +166,14 @@ def test_only_coulombs_law_is_rescued():
 
 def test_the_default_loop_is_the_robust_one():
     assert {name: getattr(solver(), name) for name in LOOPS["robust"]} == LOOPS["robust"]
-    assert LARGEST_RESCUE >= 5000
+
+
+def test_a_problem_too_large_for_the_factors_is_left_to_the_sweeps(monkeypatch):
+    problem = oracles.strands(1, contacts=12).condense()
+    monkeypatch.setattr(outer, "LARGEST_RESCUE", len(problem.W.indices))
+    assert solver(tolerance=1e-10, rescue_after=3).solve(problem).rescue > 0
+    monkeypatch.setattr(outer, "LARGEST_RESCUE", len(problem.W.indices) - 1)
+    assert solver(tolerance=1e-10, rescue_after=3).solve(problem).rescue == 0
 
 
 def test_the_same_input_gives_the_same_answer_bit_for_bit():

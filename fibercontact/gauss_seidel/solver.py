@@ -50,8 +50,8 @@ LOOPS: dict[str, dict[str, Any]] = {
 }
 """The outer loops by name, as settings of `GaussSeidel`; `robust` is its default."""
 
-LARGEST_RESCUE = 10_000
-"""Contacts above which the interior-point method's factors may not fit into memory."""
+LARGEST_RESCUE = 600_000
+"""Blocks of W above which the interior-point method is not tried: its factors hold 2 to 10 times the numbers of W."""
 
 SLICE_SECONDS = 0.05
 """The clock is looked at about this often: between slices of sweeps."""
@@ -186,7 +186,7 @@ class GaussSeidel:
         crew = Crew(self._members(system, state, threads))
         kernels = (kernel, several or one_by_one, options)
         rest = (log or no_log(), past)
-        rescue_at = self.rescue_after if how.facets == COULOMB and len(system.mu) <= LARGEST_RESCUE else 0
+        rescue_at = self._rescue_at(system)
         done, reached, elapsed, rescue = 0, best <= how.target, 0.0, 0
         while not reached and math.isfinite(best) and done < self.max_sweeps and elapsed < self.max_seconds:
             count = crew.plan(elapsed, self._slice(done, elapsed), self._step)
@@ -198,6 +198,7 @@ class GaussSeidel:
             done, best, reached = crew.sweep(sweeps, end - done, state.failed)
             if done == rescue_at and not reached and math.isfinite(best):
                 rescue, best = self._rescue(system, b_ref, state, crew.members, best, began)
+                reached = best <= how.target
             elapsed = time.perf_counter() - began
         past = past[: done + 1] / (b_ref or 1.0) if history else past
         outcome = _outcome(reached, best, done >= self.max_sweeps)
@@ -229,6 +230,11 @@ class GaussSeidel:
             for team in gather(threads, owners(state.parts, system.starts, threads))
         ]
 
+    def _rescue_at(self, system: BlockSystem) -> int:
+        """Sweeps after which the interior-point method is asked, 0 where it is not."""
+        can = self.local.facets == COULOMB and len(system.columns) <= LARGEST_RESCUE
+        return self.rescue_after if can else 0
+
     def _rescue(
         self,
         system: BlockSystem,
@@ -239,7 +245,7 @@ class GaussSeidel:
         began: float,
     ) -> tuple[int, float]:
         """Go on from the interior-point method's impulses, if they are better than the best so far."""
-        target = 0.1 * self.tolerance * (b_ref or 1.0)
+        target = 0.5 * self.tolerance * (b_ref or 1.0)
         run = interior_point(system, b_ref or 1.0, target, deadline=began + self.max_seconds)
         if run.residual < best:
             best = run.residual

@@ -4,12 +4,14 @@ Candidates, in order, until one is accepted; each but the first ends in accelera
 local solver, because Clarabel floors at residuals of 1e-6 to 1e-10:
 
 1. `no impulse`, `r = 0`: free.
-2. `sweeps` from zero, for a short time: what most problems need, in the tenth part of the time of 3.
-3. `Cadoux`, in velocities where they are known: jammed and ill-conditioned problems, on which sweeps from zero stall,
-   for it starts the sweeps where hundreds of them converge.
-4. `sharp Cadoux`, in impulses and with hardly any regularisation: it floors lower on the most ill-conditioned
+2. `sweeps` from zero, for a short time: what most problems need, in the tenth part of the time of 4.
+3. `central path` of Coulomb's law: jammed and ill-conditioned problems, on which sweeps from zero stall. Its start is
+   its own, so it is not tried when one is given, nor where its factors may not fit into memory.
+4. `Cadoux`, in velocities where they are known: it starts the sweeps where hundreds of them converge, from a given
+   start too, and shares nothing with 2 and 3 but the polishing.
+5. `sharp Cadoux`, in impulses and with hardly any regularisation: it floors lower on the most ill-conditioned
    problems, and without friction, where the velocity form is spoiled by inactive contacts.
-5. `sweeps`, for long.
+6. `sweeps`, for long.
 
 `none` is an answer too: then the best candidate is kept with its residual, and is not the truth. What each candidate
 solves alone is measured by `experiments/reference_methods.py`.
@@ -23,7 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fibercontact.gauss_seidel.anderson import Acceleration
-from fibercontact.gauss_seidel.solver import GaussSeidel
+from fibercontact.gauss_seidel.blocks import block_system
+from fibercontact.gauss_seidel.interior_point import interior_point
+from fibercontact.gauss_seidel.solver import LARGEST_RESCUE, GaussSeidel
 from fibercontact.local.registry import configure, registered
 from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.problem.measure import measure
@@ -118,9 +122,18 @@ def _candidates(
     if start is None:
         yield "no impulse", np.zeros(3 * problem.n), ""
     yield "sweeps", *polish(incremental, start, target, min(SHORT_SECONDS, share))
+    if start is None and len(incremental.W.indices) <= LARGEST_RESCUE:
+        yield "central path", *_polished_path(incremental, target, share)
     yield "Cadoux", *_polished_cadoux(problem, incremental, default_form, slip, target, share)
     yield "sharp Cadoux", *_polished_cadoux(problem, incremental, sharp_form, slip, target, share)
     yield "long sweeps", *polish(incremental, start, target, share)
+
+
+def _polished_path(problem: IncrementalProblem, target: float, share: float) -> tuple[Array, str]:
+    unit = problem.b_ref or 1.0
+    run = interior_point(block_system(problem), unit, target * unit, deadline=time.perf_counter() + share)
+    r, note = polish(problem, run.r, target, min(POLISH_SECONDS, share))
+    return r, f"{run.residual / unit:.1e} after {run.iterations} iterations, {note}"
 
 
 def _polished_cadoux(

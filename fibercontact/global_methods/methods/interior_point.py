@@ -1,10 +1,12 @@
 """Interior-point method on Coulomb's law itself, its slip term differentiated.
 
-Equation: `y − |y_T| e = A x + c`, `x∘y = t e` with t → 0, x and y in the Lorentz cone; Nesterov and Todd's scaling,
-Mehrotra's predictor and corrector, one sparse factorisation an iteration. It starts from impulses of its own.
-Reference: `fibercontact/gauss_seidel/interior_point.py`, where it helps sweeps that stall.
-Tens of iterations; rounding leaves residuals of 1e-6 to 1e-10. Refuses more contacts than the factors of W may fit
-into memory for.
+Equation: `y − (1 − lam) |y_T| e = A x + c + lam d`, `x∘y = lam e`, x and y in the Lorentz cone: a path from lam = 1,
+a convex problem of known solution, to Coulomb's law at lam = 0. Nesterov and Todd's scaling, steps along the path's
+tangent and its curvature, one sparse factorisation an iteration; where the path turns, lam rises. It starts from
+impulses of its own.
+Reference: `fibercontact/gauss_seidel/central_path.py`; it helps sweeps that stall.
+Tens of iterations, hundreds on jammed problems; rounding leaves residuals of 1e-7 to 1e-11. Loses a path of many
+sharp turns. Refuses more contacts than the factors of W may fit into memory for.
 """
 
 import time
@@ -25,7 +27,7 @@ def solve(system: BlockSystem, task: Task, options: NDArray[np.float64]) -> Answ
     check_size(system)
     deadline = time.perf_counter() + task.max_seconds
     run = interior_point(system, task.b_ref or 1.0, task.target, task.max_iterations, deadline)
-    return answer(system, task, run.r, run.iterations, "no more progress was made")
+    return answer(system, task, run.r, run.iterations, "the path could not be followed further")
 
 
 solver = GlobalMethod(solve)
