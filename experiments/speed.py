@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pandas as pd
@@ -160,12 +161,15 @@ def row_of_roofline(laid: Laid, repetitions: int) -> dict[str, float]:
     reading = least(system.blocks.sum, 10 * repetitions) / n
     pushing = least(lambda: write_velocity(system, parts, r, team, u), 10 * repetitions) / n
     visiting = least(lambda: sweeps.solve_system(system, laid.problem.b_ref), repetitions) / asked
+    with patch("fibercontact.gauss_seidel.solver.LANES", 1):
+        one_by_one = least(lambda: sweeps.solve_system(system, laid.problem.b_ref), repetitions) / asked
     return {
         "contacts": n,
         "blocks_a_row": len(system.columns) / n,
         "read_ns": 1e9 * reading,
         "push_ns": 1e9 * pushing,
         "moving_visit_ns": 1e9 * visiting,
+        "one_by_one_ns": 1e9 * one_by_one,
         "push_over_read": pushing / reading,
         "visit_over_read": visiting / reading,
         "local_iterations": visits.iterations / asked,
