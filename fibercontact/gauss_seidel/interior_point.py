@@ -6,7 +6,7 @@ Coulomb's law is
     y − ‖y_T‖ e = A x + c,    x ∈ L,  y ∈ L,  x∘y = 0,
 
 `A` and `c` being `W` and `b` in these variables: the end of the path that `central_path` follows. The iterates are
-judged by the residual of their impulses alone; rounding leaves 1e-8 to 1e-11 of it, which is for a few sweeps to
+judged by the residual of their impulses alone; rounding leaves 1e-7 to 1e-11 of it, which is for a few sweeps to
 remove. A contact without friction keeps its normal components alone, a cone of one dimension.
 
 References: Acary, Cadoux, Lemaréchal and Malick, ZAMM 91, 2011, for the law as a cone complementarity problem; THEORY
