@@ -3,14 +3,18 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 JOBS ?= 2
+N ?= 5000
 
-.PHONY: table test lint docs package corpus clean
+.PHONY: table test fuzz lint docs package corpus clean
 
 table: $(VENV)/.installed  ## the failure-rate and timing table over core306
 	$(BIN)/fibercontact table --accuracy low --rates mid --jobs $(JOBS) --out runs/core306
 
 test: $(VENV)/.installed  ## the tests
 	$(BIN)/python -m pytest -n $(JOBS)
+
+fuzz: $(VENV)/.installed  ## damaged files, N of them: each a problem or an error that names file and fault
+	$(BIN)/python tests/fuzz.py $(N)
 
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .

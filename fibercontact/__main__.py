@@ -1,6 +1,31 @@
 """`python -m fibercontact` is the same as `fibercontact`."""
 
-from fibercontact.cli import main
+import sys
+from typing import NoReturn
+
+__all__ = ["main"]
+
+
+def main() -> None:
+    """Entry point, which may be interrupted from its first import on."""
+    try:
+        from fibercontact.cli import main as command_line
+
+        command_line()
+    except KeyboardInterrupt:
+        _say_interrupted()
+    except SystemExit as end:
+        if isinstance(
+            getattr(end.__context__, "__cause__", None), KeyboardInterrupt
+        ):  # typer's, without a word
+            _say_interrupted()
+        raise
+
+
+def _say_interrupted() -> NoReturn:
+    print("interrupted", file=sys.stderr)
+    sys.exit(130)
+
 
 if __name__ == "__main__":
     main()

@@ -1,6 +1,9 @@
 """What a user can mend: the base of every error that the command line prints as one line."""
 
-__all__ = ["UserError"]
+__all__ = ["NO_CACHE", "UserError"]
+
+NO_CACHE = "no folder to keep compiled code in"
+"""How the warning begins that kernels are compiled in every process."""
 
 
 class UserError(ValueError):

@@ -9,13 +9,19 @@ import hashlib
 import os
 import shutil
 import sys
+import tempfile
+import warnings
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numba
 from numba.core import config
+from numba.core.caching import FunctionCache
+
+from fibercontact.errors import NO_CACHE
 
 __all__ = ["KERNEL_ROOMS", "cache_folder", "content_key", "jit", "jit_inline", "jit_sum"]
 
@@ -35,29 +41,70 @@ def content_key(files: Iterable[Path]) -> str:
 
 
 @cache
-def cache_folder() -> Path:
-    """Folder of the compiled kernels of this version of the sources (`FIBERCONTACT_CACHE` moves its root)."""
-    root = os.environ.get("FIBERCONTACT_CACHE") or Path(
-        os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "fibercontact"
+def cache_folder() -> Path | None:
+    """Folder of the compiled kernels of this version of the sources (`FIBERCONTACT_CACHE` moves its root).
+
+    None, with a warning, where it cannot be made or written to: then every process compiles anew.
+    """
+    try:
+        root = os.environ.get("FIBERCONTACT_CACHE") or Path(
+            os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "fibercontact"
+        )
+        sources = [file for room in KERNEL_ROOMS for file in (_PACKAGE / room).rglob("*.py")]
+        folder = Path(root).absolute() / content_key([*_PACKAGE.glob("*.py"), *sources])
+        _forget_older(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except (OSError, RuntimeError) as fault:  # RuntimeError: there is no home
+        _warn_of_no_cache(str(fault))
+        return None
+
+
+@cache
+def _warn_of_no_cache(why: str) -> None:
+    warnings.warn(
+        f"{NO_CACHE} ({why}): every process compiles anew, for a minute; FIBERCONTACT_CACHE names another folder",
+        stacklevel=2,
     )
-    sources = [file for room in KERNEL_ROOMS for file in (_PACKAGE / room).rglob("*.py")]
-    return Path(root) / content_key([*_PACKAGE.glob("*.py"), *sources])
 
 
 def _use_cache_folder() -> None:
-    if os.environ.get("NUMBA_CACHE_DIR"):
-        return
-    config.CACHE_DIR = str(cache_folder())
-    _forget_older(cache_folder())
+    if not os.environ.get("NUMBA_CACHE_DIR"):
+        config.CACHE_DIR = str(cache_folder() or "")
 
 
 def _forget_older(current: Path) -> None:
     """Remove the compiled code of all but the latest versions of the sources."""
     if current.exists() or not current.parent.is_dir():
         return
-    folders = [folder for folder in current.parent.iterdir() if len(folder.name) == len(current.name)]
-    for folder in sorted(folders, key=lambda f: f.stat().st_mtime)[: -(_KEPT - 1)]:
-        shutil.rmtree(folder, ignore_errors=True)
+    with suppress(OSError):  # other processes do the same
+        folders = [folder for folder in current.parent.iterdir() if len(folder.name) == len(current.name)]
+        for folder in sorted(folders, key=lambda f: f.stat().st_mtime)[: -(_KEPT - 1)]:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+class _KernelCache(FunctionCache):
+    """Numba's cache on disk; a kernel that cannot be put there, the disk being full, is used all the same."""
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep a compiled kernel."""
+        try:
+            super().save_overload(sig, data)
+        except OSError as fault:
+            _warn_of_no_cache(f"{config.CACHE_DIR}: {fault.strerror}")
+
+
+def _compiled(function: Callable[..., Any], **options: Any) -> Any:
+    kernel = numba.njit(error_model="numpy", nogil=True, **options)(function)
+    if config.DISABLE_JIT or not config.CACHE_DIR:
+        return kernel
+    kept = _KernelCache(function)
+    if kept.cache_path.startswith(
+        config.CACHE_DIR
+    ):  # numba's other places are not named after all the sources
+        kernel._cache = kept
+    return kernel
 
 
 def jit(function: Callable[..., Any]) -> Any:
@@ -66,7 +113,7 @@ def jit(function: Callable[..., Any]) -> Any:
     Division by zero gives inf or NaN as in numpy (`error_model="numpy"`), so kernels return a status instead
     of raising, and no fast-math is used: NaN must be seen. Kernels run without the interpreter's lock.
     """
-    return numba.njit(cache=True, error_model="numpy", nogil=True)(function)
+    return _compiled(function)
 
 
 def jit_inline(function: Callable[..., Any]) -> Any:
@@ -74,12 +121,12 @@ def jit_inline(function: Callable[..., Any]) -> Any:
 
     A dispatcher passed by value would make its caller uncacheable; inlined, it is a direct call.
     """
-    return numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")(function)
+    return _compiled(function, inline="always")
 
 
 def jit_sum(function: Callable[..., Any]) -> Any:
     """Compile a function whose sums may be added up in any order, several at a time; NaN is still seen."""
-    return numba.njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract"})(function)
+    return _compiled(function, fastmath={"reassoc", "contract"})
 
 
 _use_cache_folder()

@@ -353,6 +353,36 @@ def add_constraint(G):
     return add
 
 
+def linked(link):
+    def replace(file):
+        del file["fclib_local/vectors/q"]
+        file["fclib_local/vectors/q"] = link
+
+    return replace
+
+
+def elsewhere(name):
+    def move_out(file):
+        replaced(name, None)(file)
+        file.create_dataset(name, (12,), "f8", external=[("/dev/zero", 0, h5py.h5f.UNLIMITED)])
+
+    return move_out
+
+
+def in_chunks(name, chunks):
+    def store(file):
+        replaced(name, None)(file)
+        file.create_dataset(name, (12,), "f8", maxshape=(None,), chunks=chunks, compression="gzip")
+
+    return store
+
+
+def unequal_constraints(file):
+    put_matrix(file, "fclib_local/V", np.ones((12, 2)))
+    put_matrix(file, "fclib_local/R", np.zeros((0, 0)))
+    file["fclib_local/vectors/s"] = np.zeros(2)
+
+
 LOCAL, GLOBAL = "fclib_local", "fclib_global"
 FAULTS = [
     (LOCAL, replaced("fclib_local", None), "neither fclib_local nor fclib_global"),
@@ -395,6 +425,18 @@ FAULTS = [
     (LOCAL, replaced("solution", 1.0), "solution is not a group"),
     (LOCAL, replaced("guesses/1/r", np.zeros(12)), "guesses/number_of_guesses is missing"),
     (LOCAL, add_guesses(2), "guesses/1 is missing"),
+    (LOCAL, add_guesses(-1), "number_of_guesses is -1"),
+    (LOCAL, add_guesses(2**31 - 1), "number_of_guesses is 2147483647: more cannot be"),
+    (LOCAL, replaced("fclib_local/vectors/s", np.zeros(2)), "V and R, and vectors/s"),
+    (LOCAL, linked(h5py.SoftLink("/fclib_local/vectors/q")), "vectors/q is a link"),
+    (LOCAL, linked(h5py.ExternalLink("other.hdf5", "/q")), "vectors/q is a link"),
+    (LOCAL, elsewhere("fclib_local/vectors/q"), "vectors/q is stored in another file"),
+    (LOCAL, in_chunks("fclib_local/vectors/q", (2**28,)), "vectors/q has an impossible size"),
+    (LOCAL, unequal_constraints, r"R is 0 × 0, not 2 × 2|s has 0 values"),
+    (LOCAL, entry("fclib_local/vectors/q", 4, 1e200), r"b, up to 1e\+200 m/s, cannot be squared"),
+    (LOCAL, entry("fclib_local/vectors/q", slice(None), 1e-200), "b, up to 1e-200 m/s, cannot be squared"),
+    (LOCAL, matrix("fclib_local/W", lambda file: 1e308 * np.eye(12)), "no positive trace that is finite"),
+    (GLOBAL, replaced("fclib_global/vectors/b", np.zeros(2)), "G is missing"),
     (GLOBAL, replaced("fclib_global/H", None), "fclib_global/H is missing"),
     (GLOBAL, replaced("fclib_global/M/n", int32(14)), "M is 15 × 14, not 15 × 15"),
     (GLOBAL, replaced("fclib_global/vectors/f", None), "vectors/f is missing"),

@@ -9,8 +9,8 @@ import fibercontact
 from fibercontact.jit import KERNEL_ROOMS
 
 ROOMS = [
-    "errors", "jit", "lanes", "threads", "rods", "contact", "problem", "local", "gauss_seidel", "global_methods",
-    "peers", "simulation", "reference", "bench", "cli", "__main__"
+    "errors", "files", "jit", "lanes", "threads", "rods", "contact", "problem", "local", "gauss_seidel",
+    "global_methods", "peers", "simulation", "reference", "bench", "cli", "__main__"
 ]  # fmt: skip
 ANYWHERE = "fibercontact"  # the package itself: its version and nothing else
 

@@ -242,6 +242,19 @@ def test_a_set_is_written_scene_by_scene_with_one_manifest(tmp_path):
     assert len(files) == len(set(files)) == 4
 
 
+def test_a_set_that_was_interrupted_goes_on_with_the_next_scene(tmp_path):
+    scenes = [Parameters("wisp", 7, "curly", mu, mu, 1) for mu in (0.1, 0.7)]
+    problems = corpus.ProblemSet("small", scenes, per_scene=2, fewest=1, most=500)
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    dict(corpus.dump_set(problems, whole))
+    next(corpus.dump_set(problems, parts))
+    assert not (parts / "manifest.csv").exists()
+    assert [name for name, _ in corpus.dump_set(problems, parts)] == [build(scenes[1]).name]
+    assert {f.name: f.read_bytes() for f in parts.iterdir()} == {
+        f.name: f.read_bytes() for f in whole.iterdir()
+    }
+
+
 def test_a_run_taken_up_in_the_middle_is_the_run():
     scene = replace(build(Parameters("twist", 12, "wavy", 0.3, 0.3, 1)), steps=9)
     steps = list(simulate(scene))

@@ -112,6 +112,20 @@ def test_an_indefinite_rod_is_named():
         replace(step, M=csr_array(M)).condense()
 
 
+def test_what_is_too_large_for_the_memory_is_refused_before_it_is_allocated():
+    d, n = 600_000, 400_000
+    arrow = diags_array(np.full(d, 2.0 * d)).tolil()
+    arrow[0, :] = arrow[:, 0] = 1.0
+    arrow[0, 0] = 2.0 * d
+    with pytest.raises(ProblemError, match=r"the factor of M needs 1.34e\+03 GiB"):
+        Mobility(csr_array(arrow))
+    pendulum = StepProblem(
+        csr_array([[1.0]]), np.zeros(1), csr_array(np.ones((3 * n, 1))), np.zeros(3 * n), np.zeros(n)
+    )
+    with pytest.raises(ProblemError, match=r"W needs 1.07e\+04 GiB"):
+        pendulum.condense()
+
+
 def test_a_singular_rod_is_refused():
     ones = csr_array(np.kron(np.eye(2), np.ones((3, 3))))
     with pytest.raises(ProblemError, match="rod 0, degree of freedom 1"):

@@ -24,8 +24,8 @@ from fibercontact.bench.problem_set import HASH_DIGITS, Entry
 from fibercontact.bench.protocol import BenchError
 from fibercontact.bench.worker import Setting, Worker
 from fibercontact.errors import UserError
+from fibercontact.files import replace_file
 from fibercontact.local.loading import with_neighbours
-from fibercontact.problem.hdf5 import replace_file
 
 __all__ = ["Cluster", "Do"]
 

@@ -16,6 +16,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from matplotlib.transforms import Bbox
 
 from fibercontact.bench.protocol import PUBLISHED
+from fibercontact.files import replacing
 
 __all__ = ["draw_failures", "draw_profile", "save"]
 
@@ -80,8 +81,10 @@ def draw_failures(table: pd.DataFrame, title: str) -> Figure:
 def save(figure: Figure, folder: Path, name: str) -> None:
     """Write a figure as SVG and PNG, the same bytes for the same figure."""
     with matplotlib.rc_context({"svg.hashsalt": "fibercontact", "svg.fonttype": "none"}):
-        figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
-        figure.savefig(folder / f"{name}.png", dpi=150)
+        with replacing(folder / f"{name}.svg") as draft:
+            figure.savefig(draft, metadata={"Date": None})
+        with replacing(folder / f"{name}.png") as draft:
+            figure.savefig(draft, dpi=150)
 
 
 def _canvas(title: str) -> tuple[Figure, Axes]:

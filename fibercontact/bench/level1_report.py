@@ -16,6 +16,7 @@ from fibercontact.bench.figures import COLOURS, MARKERS, save
 from fibercontact.bench.level1 import Measured
 from fibercontact.bench.report import IDLE_LOAD, number, pipes
 from fibercontact.bench.tables import tally
+from fibercontact.files import replace_file
 
 __all__ = ["Grid", "draw_strata", "grids", "notes", "solver_table", "strata", "write_report"]
 
@@ -190,18 +191,21 @@ def _counted(counts: Mapping[str, int]) -> str:
 def write_report(measured: Measured, counts: Mapping[str, int], folder: Path) -> list[Path]:
     """Write the files of a run; returns them."""
     folder.mkdir(parents=True, exist_ok=True)
-    solver_table(measured).to_csv(folder / "table.csv", index=False)
-    strata(measured).to_csv(folder / "strata.csv", index=False)
     lines = [
         *(line for grid in grids(measured) for line in _markdown(grid)),
         *_bullets(notes(measured, counts)),
     ]
-    (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     machine = {"cpu": cpu_model(), "threads": 1, "load_at_start": measured.load} | dict(versions())
-    (folder / "environment.json").write_text(json.dumps(machine, indent=2) + "\n", encoding="utf-8")
+    texts = {
+        "table.csv": solver_table(measured).to_csv(index=False),
+        "strata.csv": strata(measured).to_csv(index=False),
+        "table.md": "\n".join(lines) + "\n",
+        "environment.json": json.dumps(machine, indent=2) + "\n",
+    }
+    for name, text in texts.items():
+        replace_file(folder / name, text.encode())
     save(draw_strata(measured), folder, "failures")
-    names = ("table.csv", "strata.csv", "table.md", "environment.json", "failures.svg", "failures.png")
-    return [folder / name for name in names]
+    return [folder / name for name in (*texts, "failures.svg", "failures.png")]
 
 
 def _markdown(grid: Grid) -> Iterator[str]:

@@ -7,7 +7,7 @@ from typing import Any
 from fibercontact.bench.protocol import GLOBAL, BenchError
 from fibercontact.bench.record import Asked, Record, write_asked
 from fibercontact.bench.rows import ROWS, TIMED, Key, Row, but_for_clocks, lines
-from fibercontact.problem.hdf5 import replace_file
+from fibercontact.files import replace_file
 
 __all__ = ["merge"]
 

@@ -159,6 +159,8 @@ def _entry(manifest: Path, number: int, line: dict[str, str]) -> Entry:
 
 
 def _sha256(file: Path) -> str:
+    if file.exists() and not file.is_file():  # a pipe would be waited for, a device has no end
+        raise BenchError(f"{file}: is not a file on a disk")
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 

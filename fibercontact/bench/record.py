@@ -15,7 +15,7 @@ from fibercontact.bench.environment import cpu_model, versions
 from fibercontact.bench.plan import Plan
 from fibercontact.bench.protocol import BenchError
 from fibercontact.bench.rows import ROWS, Key, Row, RowFile
-from fibercontact.problem.hdf5 import replace_file
+from fibercontact.files import replace_file
 
 __all__ = ["Asked", "Record", "find_runs", "read_run", "write_asked", "write_plan"]
 

@@ -22,6 +22,7 @@ from fibercontact.bench.tables import (
     strata,
     to_frame,
 )
+from fibercontact.files import replace_file
 from fibercontact.reference.existence import UNSOLVABLE
 
 __all__ = ["Report", "View", "make_report", "number", "pipes", "write_report"]
@@ -127,14 +128,16 @@ def _remarks(rows: pd.DataFrame, table: pd.DataFrame) -> list[str]:
 
 def write_report(report: Report, folder: Path) -> list[Path]:
     """Write the files of a run; returns what is in its folder beside the rows."""
-    report.rows.to_csv(folder / "rows.csv", index=False)
-    _stacked(report.views, "table").to_csv(folder / "table.csv", index=False)
-    _stacked(report.views, "strata").to_csv(folder / "strata.csv", index=False)
-    (folder / "table.md").write_text("\n".join(map(markdown, report.views)), encoding="utf-8")
-    (folder / "table.tex").write_text("\n".join(map(latex, report.views)), encoding="utf-8")
-    (folder / "environment.json").write_text(
-        json.dumps(environment(report.rows), indent=2) + "\n", encoding="utf-8"
-    )
+    texts = {
+        "rows.csv": report.rows.to_csv(index=False),
+        "table.csv": _stacked(report.views, "table").to_csv(index=False),
+        "strata.csv": _stacked(report.views, "strata").to_csv(index=False),
+        "table.md": "\n".join(map(markdown, report.views)),
+        "table.tex": "\n".join(map(latex, report.views)),
+        "environment.json": json.dumps(environment(report.rows), indent=2) + "\n",
+    }
+    for name, text in texts.items():
+        replace_file(folder / name, text.encode())
     for view in report.views:
         _write_figures(view, folder, "" if view is report.views[0] else f"-{view.accuracy}")
     return sorted(file for file in folder.iterdir() if file.suffix not in (".jsonl", ".lock"))

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from fibercontact.bench.protocol import BenchError, Limits
+from fibercontact.files import naming
 
 __all__ = [
     "CLOCKS",
@@ -110,7 +111,7 @@ class RowFile:
         """Open for `append`; raises `BenchError` while another run has the folder."""
         folder = self.path.parent
         folder.mkdir(parents=True, exist_ok=True)
-        with _locked(folder), self.path.open("ab") as stream:
+        with naming(self.path), _locked(folder), self.path.open("ab") as stream:
             if not _ends_with_newline(self.path):
                 stream.write(b"\n")  # a torn line stays a line of its own
             self._stream = stream

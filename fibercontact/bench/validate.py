@@ -22,6 +22,7 @@ from fibercontact.bench.problem_set import Entry
 from fibercontact.bench.protocol import ACCURACIES, Limits
 from fibercontact.bench.report import number
 from fibercontact.bench.rows import Row, RowFile
+from fibercontact.files import replace_file
 from fibercontact.jit import content_key
 from fibercontact.local.registry import Configured
 from fibercontact.problem.fclib import read
@@ -317,10 +318,10 @@ def notes(comparison: Comparison) -> list[str]:
 
 def write_report(comparison: Comparison, folder: Path) -> list[Path]:
     """Write rows (CSV), both tables (Markdown) and the figure (SVG, PNG); returns the files."""
-    _frame(comparison).to_csv(folder / "rows.csv", index=False)
+    replace_file(folder / "rows.csv", _frame(comparison).to_csv(index=False).encode())
     tables = [_markdown(solver_table(comparison)), _markdown(reference_table(comparison))]
     remarks = "".join(f"* {note}\n" for note in notes(comparison))
-    (folder / "validation.md").write_text("\n".join([tables[0], remarks, tables[1]]), encoding="utf-8")
+    replace_file(folder / "validation.md", "\n".join([tables[0], remarks, tables[1]]).encode())
     save(draw_errors(_frame(comparison)), folder, "velocity_error")
     names = ("rows.csv", "validation.md", "velocity_error.svg", "velocity_error.png")
     return [folder / name for name in names]

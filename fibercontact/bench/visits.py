@@ -5,6 +5,7 @@ visits as two samples, the impulses of its last sweeps for the contacts that mov
 """
 
 import hashlib
+import io
 import json
 import re
 from collections.abc import Mapping
@@ -20,6 +21,8 @@ import fibercontact
 from fibercontact.bench.problem_set import Entry
 from fibercontact.bench.protocol import BenchError
 from fibercontact.bench.rows import Key
+from fibercontact.errors import UserError
+from fibercontact.files import replace_file
 from fibercontact.gauss_seidel.solver import Run
 from fibercontact.gauss_seidel.visit_log import (
     BY_SWEEP,
@@ -31,6 +34,7 @@ from fibercontact.gauss_seidel.visit_log import (
     samples,
 )
 from fibercontact.local.contract import Status
+from fibercontact.problem.hdf5 import has, load, open_file
 
 __all__ = [
     "FIXED_BYTES", "MOST_SWEEPS", "PER_CONTACT_BYTES", "SAMPLE", "VisitRecord", "about", "check_sweeps",
@@ -163,14 +167,14 @@ def _largest_change(recent: Array) -> Array:
 def write_log(path: Path, record: VisitRecord) -> None:
     """Write a record, whole or not at all; its folder is made."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f"{path.name}.part")
-    with h5py.File(part, "w") as file:
+    image = io.BytesIO()
+    with h5py.File(image, "w") as file:
         file.attrs.update({"format": FORMAT, "version": VERSION} | dict(record.about))
         for name in SHAPES:
             values = getattr(record, name)
             how = {"compression": "gzip", "shuffle": True} if values.size else {}
             file.create_dataset(name, data=values, **how)
-    part.replace(path)
+    replace_file(path, image.getvalue())
 
 
 def read_log(path: Path) -> VisitRecord:
@@ -178,9 +182,9 @@ def read_log(path: Path) -> VisitRecord:
     if not path.is_file():
         raise BenchError(f"{path}: no such file")
     try:
-        with h5py.File(path, "r") as file:
+        with open_file(path) as file:
             return _read(file)
-    except BenchError as fault:
+    except UserError as fault:
         raise BenchError(f"{path}: {fault}") from None
     except Exception as fault:  # damaged bytes make h5py raise nearly any kind
         raise BenchError(f"{path}: not a readable HDF5 file ({fault})") from None
@@ -192,7 +196,9 @@ def _read(file: h5py.File) -> VisitRecord:
         raise BenchError("not a visit log")
     if (version := said.pop("version", None)) != VERSION:
         raise BenchError(f"a visit log of version {version}; this program reads version {VERSION}")
-    missing = [name for name in REQUIRED if name not in said] + [name for name in SHAPES if name not in file]
+    missing = [name for name in REQUIRED if name not in said] + [
+        name for name in SHAPES if not has(file, name)
+    ]
     if missing:
         raise BenchError(f"a visit log without {', '.join(missing)}")
     lengths: dict[str, int] = {}
@@ -205,9 +211,7 @@ def _read(file: h5py.File) -> VisitRecord:
 
 def _values(file: h5py.File, name: str, lengths: dict[str, int]) -> NDArray[Any]:
     """A data set, its shape checked against those that were read before."""
-    if not isinstance(file[name], h5py.Dataset):
-        raise BenchError(f"{name}: not a data set")
-    values, expected = np.asarray(file[name]), SHAPES[name]
+    values, expected = np.asarray(load(file, name, "ifV", "numbers")), SHAPES[name]
     good = values.dtype == STORED_VISIT if name in ("visits", "failures") else values.dtype.kind in "if"
     if not good:
         raise BenchError(f"{name}: its values are of another kind ({values.dtype})")

@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import threading
+import warnings
 from collections.abc import Mapping, Sequence
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import Any, NamedTuple
 
 from fibercontact.bench.environment import ONE_THREAD, memory_share
 from fibercontact.bench.protocol import BenchError
+from fibercontact.errors import NO_CACHE
 
 __all__ = ["Crashed", "Ended", "Hung", "Refused", "Setting", "Worker", "cause", "serve"]
 
@@ -171,6 +173,7 @@ def cause(code: int) -> str:
 def serve(file_descriptor: int) -> None:
     """Answer requests until the other end closes: what a worker's process does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what an interruption means
+    warnings.filterwarnings("ignore", NO_CACHE)  # which the parent has said
     threading.Thread(target=_die_with_parent, args=(file_descriptor,), daemon=True).start()
     connection = Connection(file_descriptor)
     try:

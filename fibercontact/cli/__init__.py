@@ -3,6 +3,9 @@
 Nothing heavy is imported here or at the top of a command's module, so that help comes at once.
 """
 
+import io
+import signal
+import sys
 from typing import Annotated
 
 import typer
@@ -76,4 +79,8 @@ def _options(
 
 def main() -> None:
     """Entry point. Exit codes: 0 done, 1 not solved, 2 an error of one line on stderr, 130 interrupted."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: what is done is kept
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal that lacks a character gets its code
+            stream.reconfigure(errors="backslashreplace")
     app()

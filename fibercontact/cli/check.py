@@ -51,12 +51,13 @@ def check(
         from fibercontact.bench.conformance.apart import examine_apart
         from fibercontact.bench.conformance.card import headline, markdown
         from fibercontact.bench.conformance.suite import holds
+        from fibercontact.files import replace_file
 
         plugins, local = _find(solver)
         verdicts = _show(examine_apart(local, plugins, seconds), local)
         card = out or Path("runs", "check", f"{_file_name(local.label)}.md")
         card.parent.mkdir(parents=True, exist_ok=True)
-        card.write_text(markdown(local, verdicts), encoding="utf-8")
+        replace_file(card, markdown(local, verdicts).encode())
         typer.echo(f"{headline(local, verdicts)} ({card})")
     if not holds(verdicts):
         raise typer.Exit(1)

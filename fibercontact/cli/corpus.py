@@ -23,6 +23,8 @@ def build(
 ) -> None:
     """Run the scenes of a set and write its problems as FCLIB files, with starting guesses and a manifest.
 
+    After an interruption the same command goes on with the next scene.
+
     Example: fibercontact corpus build rods102 --out build/rods102
     """
     with user_errors():
@@ -35,8 +37,12 @@ def build(
             raise SceneError(f"unknown set {name!r} (known: {', '.join(SETS)})")
         folder, problems = out or Path("build") / name, SETS[name]
         with progress_of(name, sum(build_scene(p).steps for p in problems.scenes)) as show:
-            for scene, rows in dump_set(problems, folder, lambda _, step: show(step)):
-                typer.echo(f"{scene}: {len(rows)} problems")
+            try:
+                for scene, rows in dump_set(problems, folder, lambda _, step: show(step)):
+                    typer.echo(f"{scene}: {len(rows)} problems")
+            except KeyboardInterrupt:
+                typer.echo("interrupted; the same command goes on with the next scene", err=True)
+                raise typer.Exit(130) from None
     typer.echo(f"wrote {folder}, with manifest.csv")
     typer.echo(f"  fibercontact table --set {folder}")
 

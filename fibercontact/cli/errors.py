@@ -1,4 +1,4 @@
-"""What a command does with the errors of its user: one line on stderr, exit code 2."""
+"""What a command does with the errors of its user: one line on stderr, exit code 2; 130 when it is interrupted."""
 
 import sys
 import warnings
@@ -23,7 +23,13 @@ def user_errors() -> Iterator[None]:
         except BrokenPipeError:  # the reader of our output has gone: no error of the user's
             raise
         except (UserError, OSError) as fault:
-            typer.echo(f"error: {' '.join(str(fault).split())}", err=True)
+            typer.echo(f"error: {_sentence(fault)}", err=True)
+            raise typer.Exit(2) from None
+        except KeyboardInterrupt:
+            typer.echo("interrupted", err=True)
+            raise typer.Exit(130) from None
+        except MemoryError as fault:
+            typer.echo(f"error: out of memory ({_sentence(fault)})", err=True)
             raise typer.Exit(2) from None
 
 
@@ -34,6 +40,13 @@ def check_known(what: str, given: Sequence[str], known: Sequence[str]) -> None:
     for name in given:
         if name not in known:
             raise BenchError(f"unknown {what} {name!r} (known: {', '.join(known)})")
+
+
+def _sentence(fault: BaseException) -> str:
+    """What is wrong, on one line; of the system's errors, with the file first."""
+    if isinstance(fault, OSError) and fault.filename is not None and fault.strerror:
+        return " ".join(f"{fault.filename}: {fault.strerror}".split())
+    return " ".join(str(fault).split())
 
 
 def _one_line(message: Warning | str, *_: Any) -> None:

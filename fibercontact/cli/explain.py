@@ -1,5 +1,6 @@
 """`fibercontact explain`: why a run failed or was slow."""
 
+import shutil
 import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -73,7 +74,8 @@ def explain(
 def _paragraph(subject: str, text: str) -> str:
     """A text beside its subject; a number and its % stay together."""
     whole = text.replace(" %", "\N{NO-BREAK SPACE}%")
-    lines = textwrap.fill(whole, WIDTH, initial_indent=f"{subject:<14}", subsequent_indent=14 * " ")
+    width = min(WIDTH, shutil.get_terminal_size((WIDTH, 24)).columns)
+    lines = textwrap.fill(whole, width, initial_indent=f"{subject:<14}", subsequent_indent=14 * " ")
     return lines.replace("\N{NO-BREAK SPACE}", " ")
 
 

@@ -56,6 +56,7 @@ def reference(
             summary,
         )
         from fibercontact.bench.rows import Row
+        from fibercontact.files import replace_file
         from fibercontact.reference.ground_truth import Search
         from fibercontact.reference.store import references_file
 
@@ -86,7 +87,7 @@ def reference(
             raise typer.Exit(130) from None
         frame = reference_frame(rows)
         if rows:
-            frame.to_csv(file.with_suffix(".csv"), index=False)
+            replace_file(file.with_suffix(".csv"), frame.to_csv(index=False).encode())
             console = screen()
             print_table(console, "references", summary(frame))
             print_notes(console, reference_notes(frame))

@@ -255,6 +255,7 @@ def _draw_page(file: Path, footage: Footage, look: Look) -> None:
 
 def _draw_problem(entry: "Entry", files: Sequence[Path]) -> None:
     from fibercontact.bench.protocol import BenchError
+    from fibercontact.files import replacing
     from fibercontact.simulation.pictures.page import write_page
     from fibercontact.simulation.pictures.problem import problem_figure, problem_page
 
@@ -266,7 +267,8 @@ def _draw_problem(entry: "Entry", files: Sequence[Path]) -> None:
         if _suffix(file) == ".html":
             write_page(problem_page(answer), answer.title, answer.words, file)
         else:
-            problem_figure(answer).savefig(file)
+            with replacing(file) as draft:
+                problem_figure(answer).savefig(draft)
         typer.echo(f"wrote {file}")
 
 

@@ -90,13 +90,14 @@ def compare(
         from fibercontact.bench.compare import Margins
         from fibercontact.bench.compare import compare as compared
         from fibercontact.bench.record import read_run
+        from fibercontact.files import replace_file
 
         found = compared(read_run(a), read_run(b), Margins(margin, problem_margin))
         console = screen()
         print_table(console, f"{b} over {a}", _texts(found.overall), texts=("accuracy", "solver"))
         print_notes(console, found.notes)
         if csv is not None:
-            found.pairs.to_csv(csv, index=False)
+            replace_file(csv, found.pairs.to_csv(index=False).encode())
             typer.echo(f"{csv}: {len(found.pairs)} pairs")
         for sentence in found.regressions[:WORST]:
             typer.echo(f"regression: {sentence}")

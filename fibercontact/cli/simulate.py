@@ -118,6 +118,8 @@ def simulate(
                 if checkpoints:
                     save(out)
                     typer.echo(f"wrote {out / CHECKPOINT}: --restart goes on from there")
+        if interrupted:
+            typer.echo("interrupted", err=True)
         typer.echo(recorder.summary())
         if every and out is not None:
             _say_problems(out / PROBLEMS)

@@ -172,8 +172,8 @@ def with_neighbours(path: Path) -> list[Path]:
 @contextmanager
 def _own_cache(fingerprint: str) -> Iterator[None]:
     """Compiled code of a plugin goes to a folder named after its content."""
-    before = config.CACHE_DIR
-    config.CACHE_DIR = str(cache_folder() / f"plugin-{fingerprint}")
+    before, folder = config.CACHE_DIR, cache_folder()
+    config.CACHE_DIR = str(folder / f"plugin-{fingerprint}") if folder else ""
     try:
         yield
     finally:

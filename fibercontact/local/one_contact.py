@@ -16,12 +16,13 @@ from numba import types
 from numba.core import config
 from numpy.typing import ArrayLike, NDArray
 
+from fibercontact.files import replace_file
 from fibercontact.jit import jit
 from fibercontact.local.algebra import affine
 from fibercontact.local.contract import KERNEL_SIGNATURE, Matrix
 from fibercontact.local.registry import Configured
 from fibercontact.problem.cone import COULOMB, Vector, natural_map, norm
-from fibercontact.problem.hdf5 import full_name, load, open_file, replace_file, write_array
+from fibercontact.problem.hdf5 import full_name, load, open_file, write_array
 from fibercontact.problem.incremental import ProblemError, check_finite, check_friction
 
 __all__ = ["OneContacts", "Replay", "compile_replay", "read", "read_counts", "replay", "residuals", "write"]

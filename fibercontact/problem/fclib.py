@@ -6,7 +6,8 @@ files call `H` is our `Hᵀ`, and their `f` is our `−f`.
 
 import io
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,13 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, csr_array
 
+from fibercontact.files import replace_file
 from fibercontact.problem.hdf5 import (
+    DEFLATE_LIMIT,
     full_name,
     has,
     load,
     member,
     open_file,
-    replace_file,
     write_array,
 )
 from fibercontact.problem.incremental import (
@@ -32,6 +34,7 @@ from fibercontact.problem.incremental import (
     check_vector,
     symmetric_part,
 )
+from fibercontact.problem.memory import check_memory
 from fibercontact.problem.step import StepProblem, condense_constrained
 
 __all__ = ["FclibFile", "Solution", "read", "write"]
@@ -69,6 +72,13 @@ class FclibFile:
     description: str
     math_info: str
 
+    def incremental(self) -> IncrementalProblem:
+        """The problem as `(W, b, mu)`, condensed if need be; raises `ProblemError("PATH: fault")` if it cannot be."""
+        if isinstance(self.problem, IncrementalProblem):
+            return self.problem
+        with _naming(self.path):
+            return self.problem.condense()
+
 
 def read(path: str | os.PathLike[str]) -> FclibFile:
     """Read a problem with its guesses and its solution; a global problem goes before a local one.
@@ -77,9 +87,15 @@ def read(path: str | os.PathLike[str]) -> FclibFile:
     rounding is replaced by its symmetric part with a `ProblemWarning` that says by how much.
     """
     path = Path(path)
+    with _naming(path), open_file(path) as file:
+        return _read_file(file, path)
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Put the path before what is wrong with the file."""
     try:
-        with open_file(path) as file:
-            return _read_file(file, path)
+        yield
     except ProblemError as fault:
         raise ProblemError(f"{path}: {fault}") from None
 
@@ -207,19 +223,21 @@ def _read_local(main: h5py.Group, source: str) -> tuple[IncrementalProblem, Size
     q = _read_floats(vectors, "q", size)
     W = _read_matrix(main, "W", (size, size))
     sizes = {"u": size, "r": size}
-    if has(main, "V") != has(main, "R"):
-        raise ProblemError("V and R must both be there or both be absent")
-    if has(main, "R") and (bilateral := _shape(main, "R")[0]):
+    if has(main, "V") != has(main, "R") or (has(vectors, "s") and not has(main, "R")):
+        raise ProblemError("V and R, and vectors/s with them, must all be there or all be absent")
+    if has(main, "R") and (bilateral := max(_shape(main, "R")[0], _shape(main, "V")[1])):
         sizes["l"] = bilateral
         s = _read_floats(vectors, "s", bilateral)
         V = _read_matrix(main, "V", (size, bilateral))
         R = _read_matrix(main, "R", (bilateral, bilateral))
-        W, q = _eliminate(W, V, R, q, s)
+        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is found in the problem
+            W, q = _eliminate(W, V, R, q, s)
     return IncrementalProblem.from_sparse(W, q, mu, symmetrise=True, source=source), sizes
 
 
 def _eliminate(W: csr_array, V: csr_array, R: csr_array, q: F64, s: F64) -> tuple[csr_array, F64]:
     """Eliminate `lambda` from `u = W r + V lambda + q`, `Vᵀ r + R lambda + s = 0`."""
+    check_memory("the elimination of bilateral constraints", R.shape[0] * (R.shape[0] + 2 * V.shape[0]))
     dense = R.toarray()
     rank = int(np.linalg.matrix_rank(dense))
     if rank < len(dense):
@@ -240,10 +258,13 @@ def _read_global(main: h5py.Group, source: str) -> tuple[IncrementalProblem | St
     M = symmetric_part(_read_matrix(main, "M", (d, d)), "M", symmetrise=True, source=source)
     step = StepProblem(M, -f, _read_matrix(main, "H", (d, size)).T.tocsr(), w, mu)
     sizes = {"v": d, "u": size, "r": size}
+    if has(vectors, "b") and not has(main, "G"):
+        raise ProblemError("G is missing, whose constraints vectors/b belongs to")
     if has(main, "G") and (bilateral := _shape(main, "G")[1]):
         sizes["l"] = bilateral
         b = _read_floats(vectors, "b", bilateral)
-        return condense_constrained(step, _read_matrix(main, "G", (d, bilateral)), b), sizes
+        with np.errstate(over="ignore", invalid="ignore"):
+            return condense_constrained(step, _read_matrix(main, "G", (d, bilateral)), b), sizes
     _ = step.mobility  # raises if M is not positive definite
     return step, sizes
 
@@ -253,6 +274,11 @@ def _read_guesses(file: h5py.File, sizes: Sizes) -> tuple[Solution, ...]:
         return ()
     group = member(file, "guesses", h5py.Group)
     count = _read_integer(group, "number_of_guesses")
+    stored = DEFLATE_LIMIT * file.id.get_filesize()
+    if not 0 <= 8 * sizes["r"] * count <= stored:
+        raise ProblemError(
+            f"guesses/number_of_guesses is {count}: more cannot be in the file, nor fewer than none"
+        )
     return tuple(_read_solution(member(group, str(k), h5py.Group), sizes) for k in range(1, count + 1))
 
 

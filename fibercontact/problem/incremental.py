@@ -55,6 +55,10 @@ class IncrementalProblem:
         check_friction(self.mu)
         check_vector("b", self.b, 3 * self.n)
         check_finite("b", self.b, 3, "contact")
+        if not np.isfinite(self.b_ref) or (self.b_ref == 0 and self.b.any()):
+            raise ProblemError(
+                f"b, up to {np.abs(self.b).max():g} m/s, cannot be squared in double precision"
+            )
         _check_layout(self.W, self.n)
         _check_operator(self.W)
 
@@ -91,7 +95,8 @@ class IncrementalProblem:
     @cached_property
     def b_ref(self) -> float:
         """`sqrt(mean_i ‖b_i‖²)` in m/s, 0 without contacts."""
-        return float(np.linalg.norm(self.b) / np.sqrt(max(self.n, 1)))
+        with np.errstate(over="ignore"):
+            return float(np.linalg.norm(self.b) / np.sqrt(max(self.n, 1)))
 
     def content_hash(self) -> str:
         """SHA-256 of sizes, non-zero blocks of `W`, `b` and `mu`: the same for equal problems."""
@@ -168,10 +173,14 @@ def _check_operator(W: bsr_array) -> None:
     positions = _diagonal_positions(W.indptr, W.indices)
     if (positions < 0).any():
         raise ProblemError(f"W has no diagonal block at contact {int(np.argmax(positions < 0))}")
-    moved = np.trace(W.data[positions], axis1=1, axis2=2) > 0
+    with np.errstate(over="ignore"):
+        trace = np.trace(W.data[positions], axis1=1, axis2=2)
+    moved = (trace > 0) & (trace < np.inf)
     if not moved.all():
         at = int(np.argmin(moved))
-        raise ProblemError(f"the diagonal block of W at contact {at} is zero or has no positive trace")
+        raise ProblemError(
+            f"the diagonal block of W at contact {at} is zero or has no positive trace that is finite"
+        )
     at = _asymmetric_block(W.indptr, W.indices, W.data)
     if at >= 0:
         raise ProblemError(f"W is not symmetric: see the blocks of contacts {row[at]} and {W.indices[at]}")

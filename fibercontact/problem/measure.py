@@ -63,7 +63,9 @@ def _sums(u: Array, r: Array, mu: Array, sigma: Array, facets: int, squares: Arr
 
 
 def measure(problem: IncrementalProblem, r: Array, facets: int = COULOMB) -> Measure:
-    """Measure the impulse `r` (3n,) by the law with `facets` facets; NaN or infinite `r` gives infinities.
+    """Measure the impulse `r` (3n,) by the law with `facets` facets.
+
+    An `r` that is not finite, or whose squares or those of `u` are not, gives infinities.
 
     >>> from scipy.sparse import eye_array
     >>> problem = IncrementalProblem.from_sparse(eye_array(3), np.array([-1.0, 0.0, 0.0]), np.array([0.5]))
@@ -72,13 +74,15 @@ def measure(problem: IncrementalProblem, r: Array, facets: int = COULOMB) -> Mea
     """
     if r.shape != (3 * problem.n,):
         raise ValueError(f"r must have shape ({3 * problem.n},), not {r.shape}")
-    if not np.isfinite(r).all():
-        return Measure(*[math.inf] * 8)
-    u = problem.W @ r + problem.b
-    squares = np.zeros(3)
-    _sums(u, np.ascontiguousarray(r), problem.mu, problem.sigma, facets, squares)
-    law, coulomb, fb = (relative(math.sqrt(q / max(1, problem.n)), problem.b_ref) for q in squares)
-    return Measure(law, coulomb, fb, *_defects(u.reshape(-1, 3), r.reshape(-1, 3), problem.mu))
+    with np.errstate(over="ignore", invalid="ignore"):
+        u = problem.W @ r + problem.b
+        if not np.isfinite(r @ r + u @ u):
+            return Measure(*[math.inf] * 8)
+        squares = np.zeros(3)
+        _sums(u, np.ascontiguousarray(r), problem.mu, problem.sigma, facets, squares)
+        squares[np.isnan(squares)] = math.inf
+        law, coulomb, fb = (relative(math.sqrt(q / max(1, problem.n)), problem.b_ref) for q in squares)
+        return Measure(law, coulomb, fb, *_defects(u.reshape(-1, 3), r.reshape(-1, 3), problem.mu))
 
 
 def _defects(u: Array, r: Array, mu: Array) -> tuple[float, float, float, float, float]:

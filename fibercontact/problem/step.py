@@ -18,6 +18,7 @@ from fibercontact.problem.incremental import (
     check_vector,
     symmetric_part,
 )
+from fibercontact.problem.memory import check_memory
 from fibercontact.threads import over_ranges
 
 __all__ = ["Mobility", "StepProblem", "condense_constrained"]
@@ -117,7 +118,9 @@ class Mobility:
         end = np.searchsorted(rod, rod, side="right")
         first = _envelope(M.indptr, M.indices, place)
         start = np.cumsum(np.arange(len(order)) - first + 1)
-        L = np.zeros(start[-1] if len(start) else 0)
+        size = int(start[-1]) if len(start) else 0
+        check_memory("the factor of M", size)
+        L = np.zeros(size)
         self.factor = Factor(place, rod, end, first, start - np.arange(len(order)) - 1, L)
         _scatter(M.indptr, M.indices, M.data, self.factor)
         fault = _factorise(self.factor)
@@ -135,6 +138,7 @@ class Mobility:
         n = H.shape[0] // 3
         arms = _find_arms(H.indptr, H.indices, n, self.factor)
         start = _starts(arms, self.factor)
+        check_memory("H M⁻¹ Hᵀ", 3 * int(start[-1]))
         Y = np.zeros((start[-1], 3))
         over_ranges(
             lambda *those: _half_responses(H.indptr, H.indices, H.data, arms, self.factor, start, Y, *those),
@@ -142,6 +146,7 @@ class Mobility:
             _CONTACTS,
         )
         by_rod = _group_by_rod(arms, len(self.factor.rod))
+        check_memory("W", 9 * _fewest_blocks(arms, by_rod))
         indptr, indices = _pattern(arms, by_rod)
         data = np.zeros((len(indices), 3, 3))
         over_ranges(
@@ -326,6 +331,12 @@ def _group_by_rod(arms: Arms, rods: int) -> ByRod:
         by_rod[position[a]] = a
         fill[arms.rod[a]] += 1
     return ByRod(by_rod, position, start)
+
+
+def _fewest_blocks(arms: Arms, by_rod: ByRod) -> int:
+    """A bound from below on the blocks of `W`: contacts on one rod meet, and share as many rods as they have arms."""
+    on_rod, arms_of = np.diff(by_rod.start), np.diff(arms.start)
+    return int((on_rod**2).sum()) // int(arms_of.max(initial=1))
 
 
 @jit

@@ -24,7 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fibercontact.errors import UserError
-from fibercontact.problem.hdf5 import open_file, replace_file, write_array
+from fibercontact.files import replace_file
+from fibercontact.problem.hdf5 import has, load, member, open_file, write_array
 from fibercontact.problem.incremental import ProblemError
 from fibercontact.problem.measure import measure
 from fibercontact.problem.step import StepProblem
@@ -73,7 +74,10 @@ class Store:
         if not self.file.exists():
             return set()
         with _opened(self.file) as file:
-            return {key for key, group in file.items() if group.attrs.get("existence") == UNSOLVABLE}
+            try:
+                return {key for key in file if _group(file, key).attrs.get("existence") == UNSOLVABLE}
+            except Exception as fault:  # damaged bytes make h5py raise nearly any kind
+                raise StoreError(f"{self.file}: {fault}") from None
 
     def find(self, key: str, name: str, problem: Problem, search: Search) -> GroundTruth:
         """What is stored, or else what is found now, which is stored then."""
@@ -150,11 +154,9 @@ def _write_answer(group: h5py.Group, problem: Problem, r: Array) -> None:
 def _read(path: Path, key: str, problem: Problem, search: Search) -> GroundTruth | None:
     """The group of a problem, measured anew; None when there is none or it will not do."""
     with _opened(path) as file:
-        if key not in file:
-            return None
         try:
-            return _believed(file[key], problem, search)
-        except (KeyError, ValueError, TypeError, OSError) as fault:
+            return _believed(_group(file, key), problem, search) if has(file, key) else None
+        except Exception as fault:  # damaged bytes make h5py raise nearly any kind
             raise StoreError(f"{path}: group {key}: {fault}; delete it to have it made again") from None
 
 
@@ -182,8 +184,13 @@ def _believed(group: h5py.Group, problem: Problem, search: Search) -> GroundTrut
     )
 
 
+def _group(file: h5py.File, key: str) -> h5py.Group:
+    group: h5py.Group = member(file, key, h5py.Group)
+    return group
+
+
 def _vector(group: h5py.Group, name: str, problem: Problem) -> Array:
-    values = np.asarray(group[name], dtype=np.float64)
+    values = np.asarray(load(group, name, "f", "floating-point numbers"), dtype=np.float64)
     if values.shape != (3 * problem.n,):
         raise ValueError(f"{name} has shape {values.shape}, not ({3 * problem.n},)")
     return values

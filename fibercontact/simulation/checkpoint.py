@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from fibercontact.contact.detect import Contacts
 from fibercontact.errors import UserError
-from fibercontact.problem.hdf5 import has, load, open_file, replace_file, write_array
+from fibercontact.files import replace_file
+from fibercontact.problem.hdf5 import has, load, open_file, write_array
 from fibercontact.problem.incremental import ProblemError
 from fibercontact.simulation.scene import Scene
 from fibercontact.simulation.step import World, start

@@ -7,12 +7,16 @@ included. Eighteen scenes give 306 problems. Other sets have other scenes and nu
 
 import csv
 import hashlib
+import io
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+import fibercontact
+from fibercontact.files import replace_file
+from fibercontact.jit import content_key
 from fibercontact.problem.fclib import Solution, write
 from fibercontact.problem.step import StepProblem
 from fibercontact.rods.interface import rod_model
@@ -66,6 +70,7 @@ LARGE = ProblemSet("large", tuple(HEADS.values()), per_scene=4, fewest=3000, mos
 SETS = {problems.name: problems for problems in (CORE, RODS, LARGE)}
 """The sets by name."""
 
+MANIFEST = "manifest.csv"
 COLUMNS = ("file", "scene", "step", "contacts", "dofs", "mu_min", "mu_max", "bytes", "hash")
 """Columns of the manifest; `hash` is the SHA-256 of the file."""
 
@@ -118,9 +123,16 @@ def dump_scene(
 def dump_set(
     problems: ProblemSet, folder: Path, progress: Callable[[str, Step], None] = lambda scene, step: None
 ) -> Iterator[tuple[str, list[Row]]]:
-    """Write a set scene by scene, yielding each scene's name and manifest rows; its manifest comes last."""
-    rows: list[Row] = []
+    """Write a set scene by scene, yielding each scene's name and manifest rows; its manifest comes last.
+
+    What an interrupted call with the same sources has written into the folder is not made again.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    draft = folder / f".{_sources()}.csv"
+    rows: list[Row] = [row for row in _read_manifest(draft) if (folder / str(row["file"])).is_file()]
     for scene in map(build, problems.scenes):
+        if sum(row["scene"] == scene.name for row in rows) == problems.per_scene:
+            continue
 
         def of_scene(step: Step, name: str = scene.name) -> None:
             progress(name, step)
@@ -134,8 +146,15 @@ def dump_set(
             progress=of_scene,
         )
         rows += new
+        _write_rows(draft, rows)
         yield scene.name, new
     write_manifest(folder, rows)
+    draft.unlink(missing_ok=True)
+
+
+def _sources() -> str:
+    """Key of the sources of this package: with others, other problems might come out."""
+    return content_key(Path(fibercontact.__file__).parent.rglob("*.py"))
 
 
 class Dump:
@@ -153,7 +172,9 @@ class Dump:
         folder.mkdir(parents=True, exist_ok=True)
         self.scene, self.folder = scene, folder
         self.every, self.fewest, self.most = every, fewest, most
-        self.rows: list[Row] = [row for row in _read_manifest(folder) if int(str(row["step"])) < first]
+        self.rows: list[Row] = [
+            row for row in _read_manifest(folder / MANIFEST) if int(str(row["step"])) < first
+        ]
 
     def add(self, step: Step) -> None:
         """Write the problem of a step if it is one of those asked for."""
@@ -164,8 +185,7 @@ class Dump:
             write_manifest(self.folder, self.rows)
 
 
-def _read_manifest(folder: Path) -> list[Row]:
-    file = folder / "manifest.csv"
+def _read_manifest(file: Path) -> list[Row]:
     if not file.is_file():
         return []
     with file.open(newline="", encoding="utf-8") as stream:
@@ -173,13 +193,16 @@ def _read_manifest(folder: Path) -> list[Row]:
 
 
 def write_manifest(folder: Path, rows: Sequence[Row]) -> None:
-    """Write `manifest.csv` whole or not at all."""
-    draft = folder / ".manifest.csv"
-    with draft.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-    draft.replace(folder / "manifest.csv")
+    """Write `manifest.csv`, whole or not at all."""
+    _write_rows(folder / MANIFEST, rows)
+
+
+def _write_rows(file: Path, rows: Sequence[Row]) -> None:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    replace_file(file, text.getvalue().encode())
 
 
 def _write_step(scene: Scene, step: Step, folder: Path) -> Row:

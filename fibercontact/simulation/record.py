@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from fibercontact.problem.hdf5 import replace_file
+from fibercontact.files import replace_file
 from fibercontact.rods.interface import rod_model
 from fibercontact.simulation.pictures.still import draw
 from fibercontact.simulation.scene import Scene

@@ -94,9 +94,11 @@ def ordinary() -> Sequence[Contact]:
 @cache
 def hard() -> OneContacts:
     """The hard set, kept beside the compiled kernels: its exact answers take seconds."""
-    file = cache_folder() / "hard_set.h5"
+    folder = cache_folder()
+    if folder is None:
+        return hard_set()
+    file = folder / "hard_set.h5"
     if not file.is_file():
-        file.parent.mkdir(parents=True, exist_ok=True)
         write(file, hard_set())
     return read(file)
 

@@ -35,6 +35,7 @@ from fibercontact.bench.html_report.tables import differing, headline_table, ove
 from fibercontact.bench.protocol import ACCURACIES, BenchError
 from fibercontact.bench.report import View, environment, number
 from fibercontact.bench.rows import TIMED
+from fibercontact.files import replace_file
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -62,9 +63,7 @@ def write_page(shown: Sequence[Shown], file: Path) -> int:
             f"{file}: the page would have {len(text) / 1e6:.1f} MB, more than {LARGEST / 1e6:.0f}: "
             "ask for fewer runs, --curves or --rods"
         )
-    part = file.with_name(f"{file.name}.part")
-    part.write_bytes(text)
-    part.replace(file)
+    replace_file(file, text)
     return len(text)
 
 

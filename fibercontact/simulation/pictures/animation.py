@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from fibercontact.errors import UserError
+from fibercontact.files import replacing
 from fibercontact.simulation.pictures.camera import TILT, TURN, framed, view_axes
 from fibercontact.simulation.pictures.shown import REGIMES, Shown, force_scale, held
 from fibercontact.simulation.pictures.still import SIZE, caption, draw_shown, pixels
@@ -65,14 +66,15 @@ def write_gif(file: Path, pictures: Iterable[Picture], fps: float) -> int:
     except KeyboardInterrupt:
         if not drawn:
             raise
-    drawn[0].save(
-        file,
-        save_all=True,
-        append_images=drawn[1:],
-        duration=round(1e3 / gif_rate(fps)),
-        loop=0,
-        optimize=True,
-    )
+    with replacing(file) as draft:
+        drawn[0].save(
+            draft,
+            save_all=True,
+            append_images=drawn[1:],
+            duration=round(1e3 / gif_rate(fps)),
+            loop=0,
+            optimize=True,
+        )
     return len(drawn)
 
 

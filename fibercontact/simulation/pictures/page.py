@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fibercontact.files import replace_file
 from fibercontact.simulation.pictures.camera import TILT, TURN, view_axes
 from fibercontact.simulation.pictures.shown import REGIMES
 
@@ -62,10 +63,8 @@ def write_page(figure: "Figure", title: str, words: str, file: Path) -> None:
         div_id="figure",
         config=CONFIG,
     )
-    file.write_text(
-        PAGE.format(policy=POLICY, title=html.escape(title), words=html.escape(words), figure=drawing),
-        encoding="utf-8",
-    )
+    text = PAGE.format(policy=POLICY, title=html.escape(title), words=html.escape(words), figure=drawing)
+    replace_file(file, text.encode())
 
 
 def lay_out(figure: "Figure", turn: float = TURN, tilt: float = TILT, titles: Sequence[str] = METRES) -> None:

@@ -11,6 +11,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from fibercontact.files import replacing
 from fibercontact.simulation.pictures.camera import TILT, TURN, Camera, framed, view_axes
 from fibercontact.simulation.pictures.raster import Raster
 from fibercontact.simulation.pictures.shown import REGIMES, Shown, force_scale, held, show
@@ -35,7 +36,8 @@ def draw(
     shown = show(scene, step)
     camera = framed(view_axes(turn, tilt), held(shown), size)
     newton = force_scale([shown], camera.width / camera.scale)
-    draw_shown(shown, camera, newton, caption(scene, shown)).savefig(file, dpi=DPI)
+    with replacing(file) as draft:
+        draw_shown(shown, camera, newton, caption(scene, shown)).savefig(draft, dpi=DPI)
 
 
 def caption(scene: Scene, shown: Shown, more: str = "") -> tuple[str, str]:
