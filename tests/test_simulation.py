@@ -181,7 +181,7 @@ def test_the_large_set_is_24_problems_of_helices_and_clothoids():
     assert len(large.scenes) * large.per_scene == 24
     assert (large.fewest, large.most) == (3000, 30_000)
     assert {p.model for p in large.scenes} == {"helix", "clothoid"}
-    assert max(p.fibres for p in large.scenes) == 2000
+    assert max(p.fibres for p in large.scenes) == 4000
     assert len({p.seed for p in large.scenes}) > 4
     assert len({build(p).name for p in large.scenes}) == len(large.scenes)
 

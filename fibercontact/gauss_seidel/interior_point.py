@@ -51,14 +51,14 @@ def interior_point(
 ) -> InteriorRun:
     """Solve by Coulomb's law until the residual is `tolerance`, in the unit of b, or no path can be followed.
 
-    Each start has its share of the iterations. `b_ref` is the size of b that impulses are scaled by. It also stops
+    Each start has its share of the iterations that are left. `b_ref` is the size of b that impulses are scaled by. It also stops
     when the clock, `time.perf_counter`, has passed the `deadline`.
     """
     equations, impulse = _in_cones(system, b_ref)
     u, best, since, done = np.empty(impulse.size), InteriorRun(np.zeros(impulse.size), np.inf, 0), 0, 0
-    share = -(-max_iterations // len(STARTS))
     with np.errstate(all="ignore"):  # what is not finite ends a walk
-        for start in STARTS:
+        for number, start in enumerate(STARTS):
+            share = -(-(max_iterations - done) // (len(STARTS) - number))
             for k, point in enumerate(islice(walk(equations, start), share + 1)):
                 iterations, r = done + k, np.ravel(impulse * point.x)
                 velocity(system, r, u)
