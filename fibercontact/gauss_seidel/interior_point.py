@@ -51,8 +51,8 @@ def interior_point(
 ) -> InteriorRun:
     """Solve by Coulomb's law until the residual is `tolerance`, in the unit of b, or no path can be followed.
 
-    Each start has its share of the iterations that are left. `b_ref` is the size of b that impulses are scaled by. It also stops
-    when the clock, `time.perf_counter`, has passed the `deadline`.
+    Each start has its share of the iterations that are left. `b_ref` is the size of b that impulses are scaled by.
+    It also stops when the clock, `time.perf_counter`, has passed the `deadline`.
     """
     equations, impulse = _in_cones(system, b_ref)
     u, best, since, done = np.empty(impulse.size), InteriorRun(np.zeros(impulse.size), np.inf, 0), 0, 0
