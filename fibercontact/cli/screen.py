@@ -53,7 +53,8 @@ def _size(table: "DataFrame", wrapped: bool = True) -> int:
 
 def _width(table: "DataFrame", column: str, wrapped: bool = True) -> int:
     longest = max(map(len, table[column].astype(str)), default=0)
-    return max(min(longest, WRAPPED), *map(len, column.split())) if wrapped else max(longest, len(column))
+    words = [min(longest, WRAPPED), *map(len, column.split())]
+    return max(words) if wrapped else max(longest, len(column))
 
 
 def _print_grid(console: "Console", title: str, table: "DataFrame", texts: Collection[str]) -> None:
