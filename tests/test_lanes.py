@@ -8,6 +8,7 @@ import oracles
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numba import types
 from numba.core import config
 
 from fibercontact.gauss_seidel import parts as module
@@ -17,6 +18,7 @@ from fibercontact.gauss_seidel.parts import divide, undivided
 from fibercontact.gauss_seidel.solver import GaussSeidel
 from fibercontact.jit import jit
 from fibercontact.lanes import LANES, every, load, ratio, store, where
+from fibercontact.local import several
 from fibercontact.local.registry import configure, registered
 from fibercontact.local.several import solve_several
 
@@ -133,6 +135,15 @@ def test_several_contacts_are_solved_as_one_is(name, seed, rank, spread):
         assert status == 0
         assert answer == triple(found[k])
         assert count == iterations[k]
+
+
+@compiled
+def test_what_asks_for_several_is_compiled_once_for_all_solvers():
+    """The disk cache would keep a version for every solver, and one that is gone cannot be read back."""
+    for name in HAVE:
+        solve_several(configure(name, KNOWN), *contacts(np.random.default_rng(0), 9, 6, 0.5))
+    assert len(several._ask.signatures) == 1
+    assert not any(isinstance(given, types.Dispatcher) for given in several._ask.signatures[0])
 
 
 @compiled

@@ -3,11 +3,13 @@
 from typing import Any
 
 import numpy as np
+from numba import types
+from numba.core import config
 from numpy.typing import NDArray
 
 from fibercontact.jit import jit
 from fibercontact.lanes import LANES, load, store
-from fibercontact.local.contract import Matrix
+from fibercontact.local.contract import SEVERAL_SIGNATURE, Matrix
 from fibercontact.local.registry import Configured
 from fibercontact.problem.cone import Vector
 
@@ -41,6 +43,17 @@ def _ask(several: Any, given: Array, options: Array, found: Array) -> None:
     store(y, 4 * LANES, iterations)
 
 
+_LAID_OUT = types.float64[:, ::1]
+
+
+def _compile() -> None:
+    """Compile `_ask` for every solver at once: one that knew its solver would be kept on disk with it, each anew."""
+    if config.DISABLE_JIT or _ask.signatures:
+        return
+    _ask.compile(types.void(types.FunctionType(SEVERAL_SIGNATURE), _LAID_OUT, types.float64[::1], _LAID_OUT))
+    _ask.disable_compile()
+
+
 def solve_several(
     local: Configured, W: Array, b: Array, mu: Array, r: Array
 ) -> tuple[NDArray[np.bool_], Array, NDArray[np.int64]]:
@@ -53,6 +66,7 @@ def solve_several(
         raise ValueError(f"{local.label} solves one contact at a time")
     contacts = np.column_stack([np.reshape(W, (-1, 9)), b, mu, r])
     groups = -(-len(contacts) // LANES)
+    _compile()
     padded = contacts[np.arange(groups * LANES) % len(contacts)].reshape(groups, LANES, 16)
     found = np.empty((groups, 5, LANES))
     for k in range(groups):
