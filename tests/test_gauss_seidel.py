@@ -10,19 +10,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fibercontact.gauss_seidel.anderson import Acceleration, no_memory
+from fibercontact.gauss_seidel.anderson import Acceleration
 from fibercontact.gauss_seidel.blocks import block_system, residual_from, velocity
 from fibercontact.gauss_seidel.loop import compile_loop, new_guard, new_state, run_sweeps, watch
 from fibercontact.gauss_seidel.parts import undivided
 from fibercontact.gauss_seidel.solver import LOOPS, GaussSeidel, Outcome
-from fibercontact.gauss_seidel.sweep import COUNTERS
-from fibercontact.gauss_seidel.team import gather
 from fibercontact.gauss_seidel.vectors import STRIDE
 from fibercontact.gauss_seidel.visit_log import no_log
 from fibercontact.jit import jit
 from fibercontact.local.contract import LocalSolver, Status
 from fibercontact.local.registry import Configured, configure, registered
 from fibercontact.local.several import one_by_one
+from fibercontact.problem.cone import project
 from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.problem.measure import measure
 
@@ -56,27 +55,24 @@ def solver(name="secular", **how):
     return GaussSeidel(local(name), **(LOOPS["plain"] | {"tolerance": 1e-10, "max_sweeps": 3000} | how))
 
 
-def sweeps_from_zero(problem, name, count, proximal=0.0):
+def sweeps_from_zero(problem, name, count, proximal=0.0, acceleration=None):
     """The last iterate after some sweeps, none skipped and none kept, whatever its residual."""
     compile_loop()
     system, c = block_system(problem), local(name)
-    how = GaussSeidel(
-        c, tolerance=0.0, check_every=1, proximal=proximal, acceleration=None, negligible=0.0
-    )._sweeper(problem.b_ref)
-    parts = undivided(system.columns, problem.n)
-    state = new_state(system, parts, np.zeros(3 * problem.n), 0, 1)
-    (member,) = gather(1, np.zeros(1, np.int32))
+    method = GaussSeidel(
+        c, tolerance=0.0, check_every=1, proximal=proximal, acceleration=acceleration, negligible=0.0
+    )
+    parts, window = undivided(system.columns, problem.n), acceleration.window if acceleration else 0
+    state = new_state(system, parts, np.zeros(3 * problem.n), window, 1)
+    (member,) = method._members(system, state, 1)
     done, _, _ = run_sweeps(
         c.kernel(),
         one_by_one,
         c.options,
         system,
-        how,
+        method._sweeper(problem.b_ref),
         state,
-        member,
-        no_memory(),
-        new_guard(proximal),
-        np.zeros(COUNTERS, dtype=np.int64),
+        *member,
         no_log(),
         np.empty(0),
         math.inf,
@@ -91,6 +87,25 @@ def sweeps_from_zero(problem, name, count, proximal=0.0):
 
 
 # ---- what a sweep is
+
+
+@pytest.mark.parametrize("count", range(1, 18))
+@pytest.mark.parametrize(
+    "problem", [strands(3, rods=3, contacts=5), degenerate()], ids=["regular", "degenerate"]
+)
+def test_velocities_are_extrapolated_with_the_impulses(problem, count):
+    """After each map, whether `W r + b` was computed afresh or not: `sweeps_from_zero` looks."""
+    sweeps_from_zero(problem, "secular", count, 0.05, Acceleration(sweeps=1, window=4))
+
+
+@pytest.mark.parametrize("name", ["secular", "pyramid", "pyramid:facets=3"])
+@pytest.mark.parametrize("seed", range(3))
+def test_extrapolated_impulses_end_in_their_cones(name, seed):
+    """Also those of contacts that would be left out."""
+    problem, c = strands(seed, rods=4, contacts=20), local(name)
+    run = solver(name, **LOOPS["accelerated"], tolerance=1e-6, negligible=1.0).solve(problem)
+    for r, mu in zip(run.r.reshape(-1, 3), problem.mu, strict=True):
+        np.testing.assert_allclose(project(tuple(r), mu, c.facets), r, rtol=0, atol=1e-12 * np.abs(r).max())
 
 
 @pytest.mark.parametrize("proximal", [0.0, 0.1])

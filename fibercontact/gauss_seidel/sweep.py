@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fibercontact.gauss_seidel.blocks import BlockSystem, flush
 from fibercontact.gauss_seidel.parts import Parts
 from fibercontact.gauss_seidel.team import Team
-from fibercontact.gauss_seidel.vectors import STRIDE, add_block
+from fibercontact.gauss_seidel.vectors import LINE, STRIDE, add_block, fetch
 from fibercontact.gauss_seidel.visit_log import VisitLog, end_sweep, record, record_left_out
 from fibercontact.jit import jit, jit_inline
 from fibercontact.lanes import LANES, load, store
@@ -38,6 +38,9 @@ STICK_MARGIN = 1.0 - 1e-9
 
 FEW = 3
 """Contacts from which on it is worth while to solve them at once."""
+
+AHEAD = 4
+"""Cache lines of a row that are fetched before its contact is solved; the processor sees for itself what follows."""
 
 V, R, MU, PROXIMAL, DONE, STEPS, ROWS = 9, 12, 15, 16, 17, 18, 19
 """Rows of the table of contacts that are solved at once, `LANES` numbers each; those before are `W_ii`."""
@@ -179,6 +182,8 @@ def sweep_part(
                         record_left_out(log, found)
                     continue
             together[count] = i
+            for line in range(AHEAD):
+                fetch(blocks, 9 * starts[i] + LINE * line)
             if how.width > 1:
                 for k in range(9):
                     table[k * LANES + count] = diagonal[i, k]
