@@ -15,9 +15,8 @@ def main() -> None:
     except KeyboardInterrupt:
         _say_interrupted()
     except SystemExit as end:
-        if isinstance(
-            getattr(end.__context__, "__cause__", None), KeyboardInterrupt
-        ):  # typer's, without a word
+        cause = getattr(end.__context__, "__cause__", None)  # typer ends interrupted commands without a word
+        if isinstance(cause, KeyboardInterrupt):
             _say_interrupted()
         raise
 

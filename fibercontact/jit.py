@@ -7,6 +7,7 @@ an edit there opens a new folder, and nothing stale is ever read.
 
 import hashlib
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -42,14 +43,15 @@ def content_key(files: Iterable[Path]) -> str:
 
 @cache
 def cache_folder() -> Path | None:
-    """Folder of the compiled kernels of this version of the sources (`FIBERCONTACT_CACHE` moves its root).
+    """Folder of the compiled kernels of this version of the sources.
+
+    `FIBERCONTACT_CACHE` names its root, or `NUMBA_CACHE_DIR`; else it is in the user's folder of caches.
 
     None, with a warning, where it cannot be made or written to: then every process compiles anew.
     """
     try:
-        root = os.environ.get("FIBERCONTACT_CACHE") or Path(
-            os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "fibercontact"
-        )
+        named = os.environ.get("FIBERCONTACT_CACHE") or os.environ.get("NUMBA_CACHE_DIR")
+        root = named or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "fibercontact")
         sources = [file for room in KERNEL_ROOMS for file in (_PACKAGE / room).rglob("*.py")]
         folder = Path(root).absolute() / content_key([*_PACKAGE.glob("*.py"), *sources])
         _forget_older(folder)
@@ -69,17 +71,12 @@ def _warn_of_no_cache(why: str) -> None:
     )
 
 
-def _use_cache_folder() -> None:
-    if not os.environ.get("NUMBA_CACHE_DIR"):
-        config.CACHE_DIR = str(cache_folder() or "")
-
-
 def _forget_older(current: Path) -> None:
-    """Remove the compiled code of all but the latest versions of the sources."""
+    """Remove the compiled code of all but the latest versions of the sources; the root may hold other things too."""
     if current.exists() or not current.parent.is_dir():
         return
     with suppress(OSError):  # other processes do the same
-        folders = [folder for folder in current.parent.iterdir() if len(folder.name) == len(current.name)]
+        folders = [folder for folder in current.parent.iterdir() if re.fullmatch("[0-9a-f]{16}", folder.name)]
         for folder in sorted(folders, key=lambda f: f.stat().st_mtime)[: -(_KEPT - 1)]:
             shutil.rmtree(folder, ignore_errors=True)
 
@@ -100,9 +97,7 @@ def _compiled(function: Callable[..., Any], **options: Any) -> Any:
     if config.DISABLE_JIT or not config.CACHE_DIR:
         return kernel
     kept = _KernelCache(function)
-    if kept.cache_path.startswith(
-        config.CACHE_DIR
-    ):  # numba's other places are not named after all the sources
+    if kept.cache_path.startswith(config.CACHE_DIR):  # other places are not named after all the sources
         kernel._cache = kept
     return kernel
 
@@ -129,4 +124,4 @@ def jit_sum(function: Callable[..., Any]) -> Any:
     return _compiled(function, fastmath={"reassoc", "contract"})
 
 
-_use_cache_folder()
+config.CACHE_DIR = str(cache_folder() or "")

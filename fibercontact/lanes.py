@@ -17,7 +17,7 @@ from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
 
-__all__ = ["LANES", "Lanes", "every", "load", "ratio", "store", "where"]
+__all__ = ["LANES", "Lanes", "Mask", "every", "load", "ratio", "store", "where"]
 
 LANES = 8
 
@@ -80,30 +80,24 @@ def _is_number(kind: Any) -> bool:
     return kind is Lanes or isinstance(kind, types.Float | types.Integer)
 
 
+def _fits(found: Any, kind: Any) -> bool:
+    return _is_number(found) if kind is Lanes else found is kind
+
+
 def _define(function: Any, given: tuple[Any, ...], result: Any, generate: Callable[..., Any]) -> None:
-    """Give a function a meaning in compiled code for such arguments; plain numbers among them become lanes."""
+    """Give a function a meaning in compiled code for such arguments; plain numbers beside lanes become lanes.
 
-    def fits(found: Any, kind: Any) -> bool:
-        return _is_number(found) if kind is Lanes else found is kind
-
-    class Template(AbstractTemplate):
-        def generic(self, found: Any, _: Any) -> Any:
-            some = any(kind is Lanes or kind is Mask for kind in found)
-            if some and len(found) == len(given) and all(map(fits, found, given)):
-                return signature(result, *given)
-            return None
-
-    infer_global(function)(Template)
-    lower_builtin(function, *given)(lambda context, builder, _, found: generate(builder, *found))
-
-
-def _define_for_one(function: Any, given: tuple[Any, ...], result: Any, generate: Callable[..., Any]) -> None:
-    """Give a function of this module its meaning for one number."""
+    Without lanes or masks among the arguments it is what a function of this module means for one number.
+    """
+    for_one = Lanes not in given and Mask not in given
 
     class Template(AbstractTemplate):
         def generic(self, found: Any, _: Any) -> Any:
-            some = any(kind is Lanes or kind is Mask for kind in found)
-            return None if some or len(found) != len(given) else signature(result, *given)
+            some = Lanes in found or Mask in found
+            fit = len(found) == len(given) and (
+                not some if for_one else some and all(map(_fits, found, given))
+            )
+            return signature(result, *given) if fit else None
 
     infer_global(function)(Template)
     lower_builtin(function, *given)(lambda context, builder, _, found: generate(builder, *found))
@@ -166,8 +160,8 @@ _define(where, (Mask, Lanes, Lanes), Lanes, lambda builder, *given: builder.sele
 _define(ratio, (Lanes, Lanes, Lanes), Lanes, _ratio)
 _define(every, (Mask,), types.boolean, _every)
 _ONE = types.float64
-_define_for_one(where, (types.boolean, _ONE, _ONE), _ONE, lambda builder, *given: builder.select(*given))
-_define_for_one(ratio, (_ONE, _ONE, _ONE), _ONE, _ratio)
+_define(where, (types.boolean, _ONE, _ONE), _ONE, lambda builder, *given: builder.select(*given))
+_define(ratio, (_ONE, _ONE, _ONE), _ONE, _ratio)
 
 
 def _place(context: Any, builder: Any, kind: Any, array: Any, index: Any) -> Any:

@@ -45,16 +45,26 @@ def _pool(process: int, threads: int) -> ThreadPoolExecutor:
 
 
 def together(functions: Sequence[Callable[[], Result]]) -> list[Result]:
-    """Call the functions, each in a thread of its own so that they can wait for each other; the results in order."""
+    """Call the functions, each in a thread of its own so that they can wait for each other; the results in order.
+
+    An error in one of them is raised when all have ended.
+    """
     if len(functions) == 1:
         return [functions[0]()]
     results: dict[int, Result] = {}
-    threads = [
-        threading.Thread(target=lambda k=k, call=call: results.update({k: call()}), daemon=True)
-        for k, call in enumerate(functions)
-    ]
+    faults: list[BaseException] = []
+
+    def run(k: int) -> None:
+        try:
+            results[k] = functions[k]()
+        except BaseException as fault:
+            faults.append(fault)
+
+    threads = [threading.Thread(target=run, args=(k,), daemon=True) for k in range(len(functions))]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
+    if faults:
+        raise faults[0]
     return [results[k] for k in range(len(functions))]

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.integrate import solve_bvp
 from scipy.optimize import brentq, nnls
 from scipy.sparse import block_diag, csr_array
 
@@ -165,6 +166,25 @@ def strands(seed, rods=4, dofs=18, contacts=8, mu=0.4, spread=1e2):
     M = csr_array(block_diag(blocks, format="csr"))
     f = -M @ rng.standard_normal(rods * dofs)
     return StepProblem(M, f, csr_array(H), np.zeros(3 * contacts), np.full(contacts, float(mu)))
+
+
+def elastica_tip(weight):
+    """Tip of the heavy cantilever, unit length: `theta'' = −weight (1 − s) cos theta`, theta downwards."""
+    s, guess = np.linspace(0, 1, 41), np.zeros((4, 41))
+    for load in weight * np.array([0.01, 0.1, 0.3, 0.6, 1.0]):
+        solution = solve_bvp(
+            lambda s, y, load=load: np.array(
+                [y[1], load * (s - 1) * np.cos(y[0]), np.cos(y[0]), np.sin(y[0])]
+            ),
+            lambda root, free: np.array([root[0], free[1], root[2], root[3]]),
+            s,
+            guess,
+            tol=1e-8,
+            max_nodes=20000,
+        )
+        assert solution.success
+        guess = solution.sol(s)
+    return np.array([solution.y[2, -1], 0, -solution.y[3, -1]])
 
 
 STEPS = {

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_bvp
 from scipy.spatial.transform import Rotation
@@ -143,7 +143,7 @@ def test_a_falling_rod_reaches_its_terminal_velocity(model, tilt):
     """Both components of the velocity are those of implicit Euler, `v' = (v + dt g) / (1 + dt C/(rho S))`."""
     frame = Rotation.from_rotvec([0, tilt, 0]).as_matrix()
     rods, state = make(model)
-    dt, drag, t = 0.02, Drag(0.05, 0.02), frame[:, 0]
+    dt, drag, t = 0.08, Drag(0.05, 0.02), frame[:, 0]
     along, across = (DOWN @ t) * t, DOWN - (DOWN @ t) * t
 
     def after(steps):
@@ -151,8 +151,8 @@ def test_a_falling_rod_reaches_its_terminal_velocity(model, tilt):
         rates = [(LINE_DENSITY / C * g, 1 + dt * C / LINE_DENSITY) for g, C in parts]
         return sum(terminal * (1 - factor**-steps) for terminal, factor in rates)
 
-    states = list(run(rods, turned(rods, state, frame), 400, dt, drag, DOWN))
-    for steps in (1, 10, 400):
+    states = list(run(rods, turned(rods, state, frame), 100, dt, drag, DOWN))
+    for steps in (1, 10, 100):
         np.testing.assert_allclose(root_velocity(states[steps - 1]), after(steps), rtol=0, atol=1e-8)
     terminal = LINE_DENSITY * (across / drag.normal + along / drag.tangential)
     np.testing.assert_allclose(
@@ -212,6 +212,7 @@ coefficients = st.floats(0.0, 1e3)
 
 
 @every_model
+@settings(max_examples=40)
 @given(normal=coefficients, tangential=coefficients, seed=st.integers(0, 5), free=st.booleans())
 def test_drag_never_adds_energy_in_still_air(model, normal, tangential, seed, free):
     """Its impulse is −(matrix) v with a symmetric matrix that is not negative, whatever the step."""
@@ -289,7 +290,9 @@ def test_no_drag_is_too_strong_for_a_step(model, dt):
 
 def settled(rods, state, drag=None, gravity=NOWHERE):
     """Equilibrium under drag and gravity; strong implicit damping by long steps finds it."""
-    now = last(run(rods, state, 100, 0.2, drag, gravity))
+    for now in run(rods, state, 100, 0.2, drag, gravity):
+        if np.abs(now.v).max() < 1e-13:
+            break
     assert np.abs(now.v).max() < 1e-8
     return now
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from fibercontact.contact.assemble import assemble, independent_groups, obstacle_drift
+from fibercontact.contact.assemble import assemble, obstacle_drift
 from fibercontact.contact.detect import Contacts, detect
 from fibercontact.contact.frame import contact_frames
 from fibercontact.contact.obstacles import Plane, Sphere
@@ -137,7 +137,6 @@ def test_no_contacts_make_an_empty_system():
     empty, zero = np.zeros((0, 3, 6)), np.zeros((0, 3))
     H, w, frames = assemble(contacts, empty, empty, zero, zero, dt=DT, rods=1)
     assert (H.shape, w.shape, frames.shape) == ((0, 6), (0,), (0, 3, 3))
-    np.testing.assert_array_equal(independent_groups(contacts, 1), [0])
 
 
 @pytest.mark.parametrize(
@@ -179,26 +178,3 @@ def test_frames_turn_continuously_on_each_hemisphere(z):
     tilted = normals + 1e-7 * np.random.default_rng(1).standard_normal((200, 3)) * [1, 1, 0]
     unit = [x / np.linalg.norm(x, axis=1, keepdims=True) for x in (normals, tilted)]
     np.testing.assert_allclose(contact_frames(unit[0]), contact_frames(unit[1]), atol=1e-5)
-
-
-# Groups
-
-
-@given(st.lists(st.tuples(st.integers(0, 9), st.integers(-1, 9)), max_size=12))
-@settings(deadline=None)
-def test_groups_are_what_flooding_reaches(links):
-    links = [(min(a, b), max(a, b)) if b >= 0 else (a, b) for a, b in links if a != b]
-    a, b = np.array(links, int).reshape(-1, 2).T
-    m = len(links)
-    zero, vectors = np.zeros(m), np.zeros((m, 3))
-    contacts = Contacts(a, zero, b, zero, np.where(b < 0, 0, -1), vectors, vectors, zero)
-    labels = independent_groups(contacts, 10)
-    for start in range(10):
-        reached, frontier = {start}, [start]
-        while frontier:
-            rod = frontier.pop()
-            for pair in links:
-                if rod in pair and -1 not in pair:
-                    frontier += set(pair) - reached
-                    reached |= set(pair)
-        assert set(np.flatnonzero(labels == labels[start])) == reached

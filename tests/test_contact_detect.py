@@ -480,7 +480,8 @@ def test_a_rod_lying_on_a_plane_touches_with_every_vertex():
     [
         (lambda: Plane([0, 0, 0], [0, 0, 0]), "normal must not be zero"),
         (lambda: Plane([0, 0], [0, 0, 1]), "point must be three"),
-        (lambda: Sphere([0, 0, 0], 0.0), "radius must be positive"),
+        (lambda: Sphere([0, 0, 0], 0.0), "radius must be positive and finite"),
+        (lambda: Cylinder([0, 0, 0], [0, 0, 1], np.inf), "radius must be positive and finite"),
         (lambda: Sphere([0, 0, np.inf], 1.0), "point must be three"),
         (lambda: Cylinder([0, 0, 0], [0, 0, 1], 1.0, -1.0), "length must be positive"),
         (lambda: Sphere([0, 0, 0], 1.0, velocity=[np.nan, 0, 0]), "velocity must be three"),

@@ -167,9 +167,11 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypat
     [
         (Solution(r=np.zeros(5)), r"solution/r must have shape \(12,\)"),
         (Solution(v=np.zeros(15)), "solution/v has no place"),
+        (Solution(u=np.full(12, np.nan)), "solution/u is not finite"),
+        (Solution(r=np.append(np.zeros(11), np.inf)), r"solution/r is not finite \(inf\) at value 11"),
     ],
 )
-def test_a_solution_of_another_problem_is_not_written(tmp_path, solution, fault):
+def test_a_solution_that_could_not_be_read_back_is_not_written(tmp_path, solution, fault):
     with pytest.raises(ProblemError, match=fault):
         fclib.write(tmp_path / "a.hdf5", make_step().condense(), solution=solution)
     assert not list(tmp_path.iterdir())

@@ -25,6 +25,7 @@ from fibercontact.cli import app
 from fibercontact.cli.explain import _paragraph
 from fibercontact.cli.screen import print_table, screen
 from fibercontact.files import replace_file
+from fibercontact.jit import cache_folder
 from fibercontact.problem.fclib import read, write
 from fibercontact.simulation.corpus import write_manifest
 
@@ -275,6 +276,26 @@ def test_without_a_folder_for_compiled_code_the_kernels_run_and_one_line_says_so
     assert "Traceback" not in result.stderr
 
 
+def test_only_older_compiled_code_is_forgotten(tmp_path, monkeypatch):
+    """The root may be a folder in which other things are, whatever their names."""
+    theirs = [tmp_path / f"family-photos-{k:02d}" for k in range(12)]
+    older = [tmp_path / f"{k:016x}" for k in range(12)]
+    for age, folder in enumerate([*older, *theirs]):
+        folder.mkdir()
+        os.utime(folder, (age, age))
+    monkeypatch.setenv("FIBERCONTACT_CACHE", str(tmp_path))
+    current = cache_folder.__wrapped__()
+    assert set(tmp_path.iterdir()) == {current, *older[-7:], *theirs}
+
+
+def test_the_folder_that_numba_is_given_is_a_root(tmp_path):
+    """What is right in it for one version of the sources would be read for another, too."""
+    show = "import fibercontact.jit as m; from numba.core import config; print(config.CACHE_DIR, m.cache_folder())"
+    used, named = child("-c", show, FIBERCONTACT_CACHE="", NUMBA_CACHE_DIR=str(tmp_path)).stdout.split()
+    assert used == named
+    assert Path(used).parent == tmp_path
+
+
 def test_the_command_line_says_it_on_one_line(tmp_path):
     (tmp_path / "file").write_text("")
     seeds = seed_files(tmp_path / "seeds")
@@ -399,23 +420,23 @@ def interrupted(arguments, after, code=signal.SIGINT):
     return process.returncode, said
 
 
-@pytest.mark.parametrize(
-    ("command", "code"),
-    [
-        *((command, signal.SIGINT) for command in LONG),
-        ("table", signal.SIGTERM),
-        ("simulate", signal.SIGTERM),
-    ],
-)
-def test_an_interruption_is_a_sentence_at_every_stage(tmp_path, command, code):
+STAGES = [
+    *(
+        ("solve", signal.SIGINT, after) for after in (0.0, 0.4)
+    ),  # while modules load, which is the same for all
+    *((command, signal.SIGINT, 1.5) for command in LONG),
+    *((command, signal.SIGTERM, 2.0) for command in ("table", "simulate")),
+]
+
+
+@pytest.mark.parametrize(("command", "code", "after"), STAGES)
+def test_an_interruption_is_a_sentence_at_every_stage(tmp_path, command, code, after):
     (tmp_path / "set").mkdir()
     for seed in range(3):
         write(tmp_path / "set" / f"{seed}.hdf5", strands(seed, contacts=200, rods=20))
     places = {"FILE": tmp_path / "set" / "0.hdf5", "SET": tmp_path / "set"}
     arguments = [str(places.get(a, a)).replace("OUT", str(tmp_path / "out")) for a in LONG[command]]
-    stages = [0.0, 0.4, 1.5] if code == signal.SIGINT else [2.0]
-    for after in stages:
-        returncode, said = interrupted(arguments, after, code)
-        assert "Traceback" not in said, (after, said)
-        assert returncode == 0 or "interrupted" in said, (after, returncode, said)
-        assert returncode in (0, 130) or after == 0, (after, returncode, said)
+    returncode, said = interrupted(arguments, after, code)
+    assert "Traceback" not in said, said
+    assert returncode == 0 or "interrupted" in said, (returncode, said)
+    assert returncode in (0, 130) or after == 0, (returncode, said)

@@ -5,16 +5,17 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+import oracles
 import pytest
-from scipy.integrate import solve_bvp
 from scipy.linalg import eigh, solveh_banded
 from scipy.spatial.transform import Rotation
 
 from fibercontact.contact.obstacles import Plane
 from fibercontact.problem.fclib import read
 from fibercontact.problem.measure import measure
-from fibercontact.problem.step import Mobility
+from fibercontact.problem.mobility import Mobility
 from fibercontact.rods import RootMotion, bands, circular_rods, still
+from fibercontact.rods.discrete_assembly import assemble_gradient, assemble_matrix
 from fibercontact.rods.discrete_energy import derivatives, elastic_law, frames, law_energy, strains
 from fibercontact.rods.discrete_model import (
     discrete_rods,
@@ -27,8 +28,6 @@ from fibercontact.rods.discrete_model import (
     tangents,
 )
 from fibercontact.rods.discrete_step import (
-    _bands,
-    _gradient,
     begin,
     discrete_energy,
     discrete_points,
@@ -66,14 +65,14 @@ def tangled(seed, edges=5, size=0.2, **options):
 
 def gradient(law, state):
     at = frames(state)
-    return _gradient(derivatives(law, state, at), at.tangent)
+    return assemble_gradient(derivatives(law, state, at), at.tangent)
 
 
 def hessian(law, state):
     """Second derivatives (D, D) of the energy of the first rod, from the bands of the step."""
     at = frames(state)
     none = np.zeros_like(state.v)
-    lower = _bands(none, derivatives(law, state, at), at.tangent, 1.0)
+    lower = assemble_matrix(none, derivatives(law, state, at), at.tangent, 1.0)
     return bands.sparse(lower[:1]).toarray()
 
 
@@ -198,7 +197,7 @@ def test_super_helices_are_discretised_by_the_means_of_their_curvature():
 
 def true_matrix(rods, step):
     at = frames(step.now)
-    lower = _bands(rods.inertia, derivatives(step.law, step.now, at), at.tangent, step.dt)
+    lower = assemble_matrix(rods.inertia, derivatives(step.law, step.now, at), at.tangent, step.dt)
     return lower[:, :, rods.prescribed :]
 
 
@@ -326,30 +325,11 @@ def settled(rods, state, gravity):
     return state
 
 
-def elastica_tip(weight):
-    """Tip of the heavy cantilever, unit length: `theta'' = −weight (1 − s) cos theta`, theta downwards."""
-    s, guess = np.linspace(0, 1, 41), np.zeros((4, 41))
-    for load in weight * np.array([0.01, 0.1, 0.3, 0.6, 1.0]):
-        solution = solve_bvp(
-            lambda s, y, load=load: np.array(
-                [y[1], load * (s - 1) * np.cos(y[0]), np.cos(y[0]), np.sin(y[0])]
-            ),
-            lambda root, free: np.array([root[0], free[1], root[2], root[3]]),
-            s,
-            guess,
-            tol=1e-8,
-            max_nodes=20000,
-        )
-        assert solution.success
-        guess = solution.sol(s)
-    return np.array([solution.y[2, -1], 0, -solution.y[3, -1]])
-
-
 @pytest.mark.parametrize("weight", [3.0, 20.0])
 @pytest.mark.parametrize("inextensible", [False, True])
 def test_heavy_cantilever_sags_as_the_elastica(weight, inextensible):
     gravity = DOWN / GRAVITY * weight * BENDING / (LINE_DENSITY * LENGTH**3)
-    expected, errors = LENGTH * elastica_tip(weight), []
+    expected, errors = LENGTH * oracles.elastica_tip(weight), []
     for N in (8, 16, 32):
         rods, state = make(N, inextensible=inextensible)
         errors.append(np.linalg.norm(settled(rods, state, gravity).position[0, -1] - expected))
@@ -522,8 +502,22 @@ def test_points_move_as_their_jacobians_say():
     before, after = (discrete_points(rods, x, rod, s)[0] for x in (step.before, step.now))
     np.testing.assert_allclose(velocity, (after - before) / step.dt, atol=1e-10)
     assert (abs(jacobian).sum(axis=1) > 0).sum(axis=1).max() <= 6
-    with pytest.raises(ValueError, match="s must be an arc-length"):
-        discrete_points(rods, state, [0], [1.2])
+
+
+@pytest.mark.parametrize(
+    ("rod", "s", "message"),
+    [
+        ([0], [1.2], "s must be an arc-length"),
+        ([1], [np.nan], "s must be an arc-length"),
+        ([-1], [0.1], r"rod must be in 0\.\.1"),
+        ([2], [0.1], r"rod must be in 0\.\.1"),
+        ([0, 1], [0.1], "vectors of one length"),
+    ],
+)
+def test_points_off_the_rods_are_refused(rod, s, message):
+    rods, state = tangled(5)
+    with pytest.raises(ValueError, match=message):
+        discrete_points(rods, state, rod, s)
 
 
 # Contact

@@ -3,6 +3,7 @@
 from collections import deque
 
 import numpy as np
+import oracles
 import pytest
 from scipy.integrate import solve_bvp, solve_ivp
 from scipy.linalg import eigh
@@ -142,30 +143,11 @@ def equilibrium(rods, state, gravity, motion=None, stages=8):
     return state._replace(q=q.reshape(state.q.shape))
 
 
-def elastica_tip(weight):
-    """Tip of the heavy cantilever, unit length: `theta'' = −weight (1 − s) cos theta`, theta downwards."""
-    s, guess = np.linspace(0, 1, 41), np.zeros((4, 41))
-    for load in weight * np.array([0.01, 0.1, 0.3, 0.6, 1.0]):
-        solution = solve_bvp(
-            lambda s, y, load=load: np.array(
-                [y[1], load * (s - 1) * np.cos(y[0]), np.cos(y[0]), np.sin(y[0])]
-            ),
-            lambda root, free: np.array([root[0], free[1], root[2], root[3]]),
-            s,
-            guess,
-            tol=1e-8,
-            max_nodes=20000,
-        )
-        assert solution.success
-        guess = solution.sol(s)
-    return np.array([solution.y[2, -1], 0, -solution.y[3, -1]])
-
-
 @both_bases
 @pytest.mark.parametrize("weight", [0.1, 3.0, 20.0])
 def test_heavy_cantilever_sags_as_the_elastica(weight, basis):
     gravity = DOWN / 9.81 * weight * BENDING / (LINE_DENSITY * LENGTH**3)
-    expected = elastica_tip(weight)
+    expected = oracles.elastica_tip(weight)
     errors = [
         np.linalg.norm(tip(rods, equilibrium(rods, state, gravity)) / LENGTH - expected)
         for rods, state in (make(N, basis) for N in ELEMENTS[basis])

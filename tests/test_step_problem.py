@@ -9,8 +9,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.sparse import block_diag, bsr_array, coo_array, csc_array, csr_array, diags_array
 
+from fibercontact.problem.constrained import ConstrainedStep
 from fibercontact.problem.incremental import IncrementalProblem, ProblemError, ProblemWarning
-from fibercontact.problem.step import Mobility, StepProblem, condense_constrained
+from fibercontact.problem.mobility import Mobility
+from fibercontact.problem.step import StepProblem
 
 
 def definite(rng, size):
@@ -124,6 +126,15 @@ def test_what_is_too_large_for_the_memory_is_refused_before_it_is_allocated():
     )
     with pytest.raises(ProblemError, match=r"W needs 1.07e\+04 GiB"):
         pendulum.condense()
+    chain = StepProblem(
+        diags_array(np.ones(d)).tocsr(),
+        np.zeros(d),
+        csr_array(np.eye(3, 1) @ np.eye(1, d)),
+        np.zeros(3),
+        np.zeros(1),
+    )
+    with pytest.raises(ProblemError, match=r"the elimination of bilateral constraints needs 8.05e\+03 GiB"):
+        ConstrainedStep(chain, csr_array(np.ones((d, 1))), np.zeros(1)).condense()
 
 
 def test_a_singular_rod_is_refused():
@@ -287,13 +298,13 @@ def test_bilateral_constraints_are_eliminated_exactly(seed, count, scramble):
         G[rng.choice(18, 4, replace=False), constraint] = rng.uniform(0.5, 2, 4) * rng.choice([-1, 1], 4)
     assume(np.linalg.cond(G) < 1e3)
     c, r = rng.standard_normal(count), rng.standard_normal(12)
-    problem = condense_constrained(step, csr_array(G), c)
+    problem = ConstrainedStep(step, csr_array(G), c).condense()
     np.testing.assert_allclose(problem.W @ r + problem.b, kkt_velocities(step, G, c, r), rtol=1e-6, atol=1e-6)
 
 
 def test_without_constraints_the_condensation_is_the_plain_one():
     step = random_step(4, [5, 3], [[0, 1], [1]])
-    plain, constrained = step.condense(), condense_constrained(step, csr_array((8, 0)), np.zeros(0))
+    plain, constrained = step.condense(), ConstrainedStep(step, csr_array((8, 0)), np.zeros(0)).condense()
     np.testing.assert_allclose(constrained.W.toarray(), plain.W.toarray(), rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(constrained.b, plain.b, atol=1e-12)
 
@@ -309,4 +320,4 @@ def test_without_constraints_the_condensation_is_the_plain_one():
 def test_dependent_constraints_are_refused(G):
     step = random_step(4, [5, 3], [[0, 1], [1]])
     with pytest.raises(ProblemError, match="G is rank deficient"):
-        condense_constrained(step, csr_array(G), np.zeros(G.shape[1]))
+        ConstrainedStep(step, csr_array(G), np.zeros(G.shape[1])).condense()

@@ -1,20 +1,21 @@
 """Threads: the ranges make up the whole, and no result depends on how many threads there are."""
 
+import threading
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from fibercontact.contact import broad_phase, detect
-from fibercontact.problem import step as step_problem
+from fibercontact.problem import mobility
 from fibercontact.rods import dynamics, kinematics
 from fibercontact.simulation.scenes import Parameters, build
 from fibercontact.simulation.step import simulate
-from fibercontact.threads import over_ranges, thread_count
+from fibercontact.threads import over_ranges, thread_count, together
 
 SIZES = [
     (dynamics, "_RODS"), (kinematics, "_RODS"), (kinematics, "_POINTS"), (broad_phase, "_SEGMENTS"),
-    (detect, "_PAIRS"), (step_problem, "_CONTACTS"),
+    (detect, "_PAIRS"), (mobility, "_CONTACTS"),
 ]  # fmt: skip
 
 
@@ -31,6 +32,20 @@ def test_an_error_in_a_range_is_raised(monkeypatch):
     monkeypatch.setenv("FIBERCONTACT_THREADS", "2")
     with pytest.raises(ZeroDivisionError):
         over_ranges(lambda first, end: 1 // (first - 3), 9, 1)
+
+
+@pytest.mark.parametrize("failing", [0, 1])
+def test_an_error_in_one_of_several_threads_is_raised(failing):
+    calls = [lambda: 1, lambda: 2]
+    calls[failing] = lambda: 1 // 0
+    with pytest.raises(ZeroDivisionError):
+        together(calls)
+
+
+def test_threads_wait_for_each_other():
+    meeting = threading.Barrier(3, timeout=60)
+    order = together([lambda k=k: (k, meeting.wait())[0] for k in range(3)])
+    assert order == [0, 1, 2]
 
 
 @pytest.mark.parametrize(("text", "count"), [("5", 5), ("0", None), ("many", None), ("", None)])

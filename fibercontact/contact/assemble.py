@@ -5,15 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import csr_array
 
 from fibercontact.contact.detect import Contacts
 from fibercontact.contact.frame import contact_frames
 from fibercontact.contact.obstacles import Obstacle
 from fibercontact.jit import jit
 
-__all__ = ["ContactSystem", "assemble", "independent_groups", "obstacle_drift"]
+__all__ = ["ContactSystem", "assemble", "obstacle_drift"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -78,17 +77,6 @@ def obstacle_drift(contacts: Contacts, obstacles: Sequence[Obstacle]) -> Floats:
         here = contacts.obstacle == index
         drift[here] = obstacle.velocity_at(contacts.point[here])
     return drift
-
-
-def independent_groups(contacts: Contacts, rods: int) -> NDArray[np.int32]:
-    """Label (R,) of the group of each rod: rods that touch, directly or through others, share a label.
-
-    Obstacles have no degrees of freedom and connect nothing: groups are independent problems.
-    """
-    between = contacts.fibre_b >= 0
-    a, b = contacts.fibre_a[between], contacts.fibre_b[between]
-    graph = coo_array((np.ones(len(a)), (a, b)), shape=(rods, rods))
-    return connected_components(graph, directed=False)[1]
 
 
 def _gap_velocity(gap: Floats, dt: float, beta: float, v_max: float) -> Floats:

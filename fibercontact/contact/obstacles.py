@@ -35,10 +35,9 @@ def _unit(name: str, value: ArrayLike) -> Floats:
     return vector / norm
 
 
-def _positive(name: str, value: float) -> float:
-    if not value > 0.0:
-        raise ValueError(f"{name} must be positive, got {value!r}")
-    return float(value)
+def _check_positive(name: str, value: float, most: float = np.finfo(float).max) -> None:
+    if not 0.0 < value <= most:
+        raise ValueError(f"{name} must be positive{'' if most == np.inf else ' and finite'}, got {value!r}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +45,8 @@ class Obstacle(ABC):
     """A rigid body whose `point` (3,), in m, moves with `velocity` (3,), in m/s.
 
     The body turns about `point` with `angular_velocity` (3,), in rad/s. Raises ValueError for vectors that
-    are not three finite numbers, directions that are zero, and radii or lengths that are not positive.
+    are not three finite numbers, directions that are zero, radii that are not positive and finite, and lengths
+    that are not positive.
     """
 
     point: Floats
@@ -110,7 +110,7 @@ class Sphere(Obstacle):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _positive("radius", self.radius)
+        _check_positive("radius", self.radius)
 
     def signed_distance(self, points: Floats) -> tuple[Floats, Floats]:
         """Distance (m,) to the sphere and normals (m, 3)."""
@@ -138,8 +138,8 @@ class Cylinder(Obstacle):
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "axis", _unit("axis", self.axis))
-        _positive("radius", self.radius)
-        _positive("length", self.length)
+        _check_positive("radius", self.radius)
+        _check_positive("length", self.length, np.inf)
 
     def _on_axis(self, points: Floats) -> Floats:
         along = np.clip((points - self.point) @ self.axis, -0.5 * self.length, 0.5 * self.length)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, csr_array
 
 from fibercontact.files import replace_file
+from fibercontact.problem.constrained import ConstrainedStep
 from fibercontact.problem.hdf5 import (
     DEFLATE_LIMIT,
     full_name,
@@ -35,7 +36,7 @@ from fibercontact.problem.incremental import (
     symmetric_part,
 )
 from fibercontact.problem.memory import check_memory
-from fibercontact.problem.step import StepProblem, condense_constrained
+from fibercontact.problem.step import StepProblem
 
 __all__ = ["FclibFile", "Solution", "read", "write"]
 
@@ -113,7 +114,7 @@ def write(
     """Write an `fclib_local` or `fclib_global` file, whole or not at all, same bytes for same input.
 
     The arrays are compressed (gzip, shuffle, checksum), which every HDF5 library from 1.10 on reads. Raises
-    `ProblemError` if a guess or the solution does not fit the problem, `OSError` if writing fails.
+    `ProblemError` if a guess or the solution does not fit the problem or is not finite, `OSError` if writing fails.
     """
     if problem.n == 0:
         raise ProblemError("a problem without contacts has no place in a file")
@@ -189,6 +190,7 @@ def _write_solution(group: h5py.Group, problem: IncrementalProblem | StepProblem
         if name not in sizes:
             raise ProblemError(f"{full_name(group, name)} has no place beside this problem")
         check_vector(full_name(group, name), values, sizes[name])
+        check_finite(full_name(group, name), values, 1, "value")
         write_array(group, name, values)
 
 
@@ -264,7 +266,7 @@ def _read_global(main: h5py.Group, source: str) -> tuple[IncrementalProblem | St
         sizes["l"] = bilateral
         b = _read_floats(vectors, "b", bilateral)
         with np.errstate(over="ignore", invalid="ignore"):
-            return condense_constrained(step, _read_matrix(main, "G", (d, bilateral)), b), sizes
+            return ConstrainedStep(step, _read_matrix(main, "G", (d, bilateral)), b).condense(), sizes
     _ = step.mobility  # raises if M is not positive definite
     return step, sizes
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fibercontact.problem.incremental import ProblemError
 
-__all__ = ["full_name", "has", "load", "member", "open_file", "write_array"]
+__all__ = ["DEFLATE_LIMIT", "full_name", "has", "load", "member", "open_file", "write_array"]
 
 DEFLATE_LIMIT = 1100  # gzip shrinks at most this much: a larger array in a file is a damaged one
 

@@ -17,6 +17,7 @@ __all__ = [
     "IncrementalProblem",
     "ProblemError",
     "ProblemWarning",
+    "check_csr",
     "check_finite",
     "check_friction",
     "check_vector",
@@ -124,6 +125,15 @@ def check_finite(name: str, values: F64, per: int, unit: str) -> None:
     if not finite.all():
         at = int(np.argmin(finite))
         raise ProblemError(f"{name} is not finite ({values.flat[at]}) at {unit} {at // per}")
+
+
+def check_csr(name: str, A: Any, shape: tuple[int, int]) -> None:
+    """Raise `ProblemError` unless `A` is a float64 CSR array of that shape, its stored values finite."""
+    if getattr(A, "format", None) != "csr" or A.dtype != np.float64:
+        raise ProblemError(f"{name} must be a float64 CSR array")
+    if A.shape != shape:
+        raise ProblemError(f"{name} must have shape {shape}: it has {A.shape}")
+    check_finite(name, A.data, 1, "stored value")
 
 
 def check_friction(mu: Any) -> None:

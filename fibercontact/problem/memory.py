@@ -22,4 +22,4 @@ def _allowed() -> float:
 
     limits = (resource.getrlimit(kind)[0] for kind in (resource.RLIMIT_AS, resource.RLIMIT_DATA))
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    return min(memory, *(limit for limit in limits if limit != resource.RLIM_INFINITY), memory)
+    return min([memory, *(limit for limit in limits if limit != resource.RLIM_INFINITY)])

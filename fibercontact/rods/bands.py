@@ -36,6 +36,15 @@ def sparse(bands: Array) -> csr_array:
     return csr_array((data, (rods * D + column).ravel(), indptr), shape=(R * D, R * D))
 
 
+def times(bands: Array, vector: Array) -> Array:
+    """Products (R, D) of symmetric bands and vectors."""
+    product = bands[:, 0] * vector
+    for k in range(1, min(bands.shape[1], bands.shape[2])):
+        product[:, k:] += bands[:, k, :-k] * vector[:, :-k]
+        product[:, :-k] += bands[:, k, :-k] * vector[:, k:]
+    return np.asarray(product, dtype=np.float64)
+
+
 def cholesky(bands: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Factors L (R, w + 1, D) with `A = L Lᵀ`, and whether each was found; else A is not positive definite."""
     factor = bands.copy()

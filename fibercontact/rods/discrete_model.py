@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fibercontact.rods.basis import HELIX
-from fibercontact.rods.model import Rods, circular_rods
+from fibercontact.rods.model import Rods, checked_roots, circular_rods
 
 __all__ = [
     "PRESCRIBED",
@@ -177,12 +177,9 @@ def discrete_state(
     the world's. `curvature` broadcasts to (R, N − 1, 3). ValueError when a root frame is not a rotation.
     """
     R, N = len(rods.length), rods.edges
-    frame = np.array(np.broadcast_to(np.eye(3) if root_frame is None else root_frame, (R, 3, 3)), dtype=float)
-    orthonormal = np.allclose(frame.transpose(0, 2, 1) @ frame, np.eye(3), rtol=0, atol=1e-9)
-    if not (orthonormal and np.all(np.linalg.det(frame) > 0)):
-        raise ValueError("root_frame must be a rotation")
+    start, frame = checked_roots(R, root_position, root_frame)
     position = np.empty((R, N + 1, 3))
-    position[:, 0] = root_position
+    position[:, 0] = start
     directors, twists = np.empty((R, N, 3)), np.empty((R, N - 1))
     shape = np.broadcast_to(rods.rest_curvature if curvature is None else curvature, (R, N - 1, 3))
     strains = shape * rods.cells[:, :, None]

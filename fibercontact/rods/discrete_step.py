@@ -13,9 +13,7 @@ iteration replaces Π by its quadratic model about the last iterate v_k,
 
 and solves `M v + f = Hᵀ r`: v is again the velocity at the end of the step.
 
-M is made definite rod by rod. Where the true M of a rod has a Cholesky factor it is taken; where it has not,
-the second derivatives of each inner node, 8×8 in (e, θ^e, f, θ^f) with e, f in edge lengths, lose their
-negative eigenvalues, and edges under pressure their negative transverse stiffness: then M ≥ 𝕄 > 0.
+M is made definite rod by rod (see `discrete_assembly`).
 
 Inextensible edges obey `|e_j| = const` in place of springs. Their linear form about the iterate,
 `Gᵀ v + c = 0`, joins each system, `M v + f = Hᵀ r + G lambda`, and the tensions lambda of the last iteration
@@ -35,6 +33,7 @@ from scipy.spatial.transform import Rotation
 
 from fibercontact.rods import bands
 from fibercontact.rods.air import Drag
+from fibercontact.rods.discrete_assembly import assemble_gradient, definite_matrix
 from fibercontact.rods.discrete_energy import (
     Derivatives,
     Frames,
@@ -58,7 +57,7 @@ from fibercontact.rods.discrete_model import (
     transported,
 )
 from fibercontact.rods.dynamics import Energy
-from fibercontact.rods.model import RootMotion, still
+from fibercontact.rods.model import RootMotion, checked_points, still
 
 __all__ = ["BandedSystem", "ImplicitStep", "begin", "discrete_energy", "discrete_points", "implicit_step"]
 
@@ -66,11 +65,6 @@ Array = NDArray[np.float64]
 
 HALVINGS = 8
 _SUFFICIENT = 1e-4  # share of the predicted decrease that a step must bring [Armijo]
-_I3 = np.eye(3)
-_NODE_MAP = np.zeros((8, 11))  # (e, θ^e, f, θ^f) from (x, θ, x, θ, x)
-_NODE_MAP[:3, :3], _NODE_MAP[:3, 4:7], _NODE_MAP[3, 3] = -_I3, _I3, 1
-_NODE_MAP[4:7, 4:7], _NODE_MAP[4:7, 8:], _NODE_MAP[7, 7] = -_I3, _I3, 1
-_EDGE_MAP = np.hstack([-_I3, np.zeros((3, 1)), _I3])  # e from (x, θ, x)
 
 
 class BandedSystem(NamedTuple):
@@ -144,12 +138,13 @@ class ImplicitStep:
         slopes = derivatives(self.law, self.now, at)
         if self.rods.inextensible:
             slopes = self._augmented(slopes, at)
-        M, factor = _definite_matrix(self.rods, slopes, at.tangent, self.dt, self.drag)
+        drag = None if self.drag is None else self.drag.C
+        M, factor = definite_matrix(self.rods, slopes, at.tangent, self.dt, drag)
         known = self.rods.prescribed
         residual = self._residual(slopes, at.tangent)[:, known:]
         v = self.now.v[:, known:]
         rigid, c = self._rigid_edges(at, v)
-        return BandedSystem(M, residual - _times(M, v), factor, rigid, c)
+        return BandedSystem(M, residual - bands.times(M, v), factor, rigid, c)
 
     def contact_points(self, rod: NDArray[np.int64], s: Array) -> tuple[Array, Array]:
         """Jacobian (m, 3, D) and prescribed velocity (m, 3) of points at arc-lengths s (m,) of rods (m,)."""
@@ -204,14 +199,14 @@ class ImplicitStep:
         if self.drag is not None:
             force -= join(self.drag.pull(split(self.now.v)[0]), np.zeros_like(self.now.theta))
         inertia = self.rods.inertia * (self.now.v - self.before.v)
-        return np.asarray(inertia + self.dt * (_gradient(slopes, tangent) - force), dtype=np.float64)
+        return np.asarray(inertia + self.dt * (assemble_gradient(slopes, tangent) - force), dtype=np.float64)
 
     def _share(self, change: Array, impulse: Array | float) -> Array:
         """Shares (R, 1) of the change that let the function of the step fall."""
         known = self.rods.prescribed
         step = change[:, known:]
         system = self.system
-        slope = np.sum((_times(system.M, self.now.v[:, known:]) + system.f - impulse) * step, axis=1)
+        slope = np.sum((bands.times(system.M, self.now.v[:, known:]) + system.f - impulse) * step, axis=1)
         start, power = self.potential(self.now), np.sum(impulse * step, axis=1)
         share = np.ones((len(change), 1))
         for _ in range(HALVINGS):
@@ -241,7 +236,7 @@ class ImplicitStep:
         """Tensions (R, N) with `M v + f − Hᵀ r = G lambda`: what acts on all nodes beyond an edge."""
         system = self.system
         unbalanced = np.zeros_like(self.now.v)
-        unbalanced[:, self.rods.prescribed :] = _times(system.M, v) + system.f - impulse
+        unbalanced[:, self.rods.prescribed :] = bands.times(system.M, v) + system.f - impulse
         nodes, _ = split(unbalanced)
         beyond = np.cumsum(nodes[:, :0:-1], axis=1)[:, ::-1]
         return -np.sum(beyond * tangents(self.now.position), axis=2) / self.dt
@@ -304,9 +299,7 @@ def discrete_points(
 
     A point divides its edge as `s` does the rest length. ValueError when a point is not on a rod.
     """
-    rod, s = np.asarray(rod, dtype=np.int64), np.asarray(s, dtype=float)
-    if not np.all((s >= 0) & (s <= rods.length[rod])):
-        raise ValueError("s must be an arc-length between 0 and the length of its rod")
+    rod, s = checked_points(rods.length, rod, s)
     x = s / rods.edge_length[rod]
     edge = np.minimum(x.astype(np.int64), rods.edges - 1)
     share = (x - edge)[:, None]
@@ -362,71 +355,6 @@ def _node_inertia(rods: DiscreteRods) -> Array:
 def _weight(rods: DiscreteRods, state: DiscreteState, gravity: ArrayLike) -> Array:
     """Work `F·x` (R,) of gravity."""
     return np.asarray(np.sum(_node_inertia(rods) * (state.position @ np.asarray(gravity)), axis=1))
-
-
-def _gradient(slopes: Derivatives, tangent: Array) -> Array:
-    """Gradient (R, 4N + 3) of an energy, assembled from its nodes and edges."""
-    R, N = slopes.tension.shape
-    gradient = np.zeros((R, 4 * N + 3))
-    of_nodes = slopes.node_gradient @ _NODE_MAP
-    of_edges = (slopes.tension[:, :, None] * tangent) @ _EDGE_MAP
-    for parts in (of_nodes, of_edges):
-        count, width = parts.shape[1:]
-        for p in range(width):
-            gradient[:, p : p + 4 * count : 4] += parts[:, :, p]
-    return gradient
-
-
-def _definite_matrix(
-    rods: DiscreteRods, slopes: Derivatives, tangent: Array, dt: float, drag: NodeDrag | None
-) -> tuple[Array, Array]:
-    """Bands of M (R, 11, D) by the rule of this module, and their Cholesky factors."""
-    M = _bands(rods.inertia, slopes, tangent, dt, drag)[:, :, rods.prescribed :]
-    factor, definite = bands.cholesky(M)
-    wrong = ~definite & np.isfinite(M).all(axis=(1, 2))
-    if wrong.any():
-        clamped = _clamped(Derivatives._make(x[wrong] for x in slopes), rods.edge_length[wrong])
-        of_these = None if drag is None else drag._replace(C=drag.C[wrong])
-        lower = _bands(rods.inertia[wrong], clamped, tangent[wrong], dt, of_these)
-        M[wrong] = lower[:, :, rods.prescribed :]
-        factor[wrong] = bands.cholesky(M[wrong])[0]
-    return M, factor
-
-
-def _bands(
-    inertia: Array, slopes: Derivatives, tangent: Array, dt: float, drag: NodeDrag | None = None
-) -> Array:
-    """Bands (R, 11, 4N + 3) of `𝕄 + dt² ∇²E`, and of `dt C` with drag."""
-    matrix = np.zeros((len(inertia), 11, inertia.shape[1]))
-    if drag is not None:
-        bands.add_blocks(matrix, dt * drag.C, 4)
-    bands.add_blocks(matrix, dt**2 * (_NODE_MAP.T @ slopes.node_hessian @ _NODE_MAP), 4)
-    along = tangent[..., :, None] * tangent[..., None, :]
-    axial, transverse = slopes.axial[..., None, None], slopes.transverse[..., None, None]
-    bands.add_blocks(
-        matrix, dt**2 * (_EDGE_MAP.T @ (transverse * _I3 + (axial - transverse) * along) @ _EDGE_MAP), 4
-    )
-    matrix[:, 0] += inertia
-    return matrix
-
-
-def _clamped(slopes: Derivatives, edge_length: Array) -> Derivatives:
-    """Replace second derivatives by their parts that are not negative."""
-    e = edge_length[:, None]
-    unit = np.concatenate([np.tile(x, (1, m)) for x, m in ((e, 3), (0 * e + 1, 1)) * 2], axis=1)[:, None]
-    scale = unit[..., :, None] * unit[..., None, :]
-    values, vectors = np.linalg.eigh(slopes.node_hessian * scale)
-    positive = (vectors * np.maximum(values, 0)[..., None, :]) @ vectors.swapaxes(-1, -2) / scale
-    return slopes._replace(node_hessian=positive, transverse=np.maximum(slopes.transverse, 0))
-
-
-def _times(matrix: Array, vector: Array) -> Array:
-    """Products (R, D) of symmetric bands and vectors."""
-    product = matrix[:, 0] * vector
-    for k in range(1, min(matrix.shape[1], matrix.shape[2])):
-        product[:, k:] += matrix[:, k, :-k] * vector[:, :-k]
-        product[:, :-k] += matrix[:, k, :-k] * vector[:, k:]
-    return np.asarray(product, dtype=np.float64)
 
 
 def _times_rows(rows: Array, vector: Array) -> Array:

@@ -26,12 +26,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from fibercontact.jit import jit
 from fibercontact.rods.basis import Path, carry, element_count, new_path, shape, shapes
-from fibercontact.rods.model import Rods, RootMotion, State, dofs, part
+from fibercontact.rods.model import Rods, RootMotion, State, checked_points, dofs, part
 from fibercontact.rods.quadrature import Rule, gauss
 from fibercontact.rods.vectors import column, cross, row
 from fibercontact.threads import over_ranges
 
-__all__ = ["Points", "centreline", "point_jacobian", "prescribed_velocity"]
+__all__ = [
+    "Points",
+    "add_columns",
+    "add_moments",
+    "centreline",
+    "point_jacobian",
+    "prescribed_velocity",
+    "set_root_columns",
+]
 
 Array = NDArray[np.float64]
 _NODES = 8
@@ -61,7 +69,7 @@ def point_jacobian(rods: Rods, state: State, rod: ArrayLike, s: ArrayLike) -> Po
     The velocity of a point is `jacobian @ v[rod]`, plus `prescribed_velocity` where roots are clamped.
     ValueError when a point is not on a rod.
     """
-    rod, s = _checked_points(rods, rod, s)
+    rod, s = checked_points(rods.length, rod, s)
     m = len(s)
     points = Points(np.empty((m, 3)), np.empty((m, 3, 3)), np.zeros((m, 3, dofs(rods))))
     elements, rule = tabulate(rods, state), gauss(_NODES)
@@ -119,17 +127,6 @@ def tabulate(rods: Rods, state: State) -> Elements:
 
     over_ranges(fill, R, _RODS)
     return elements
-
-
-def _checked_points(rods: Rods, rod: ArrayLike, s: ArrayLike) -> tuple[NDArray[np.int64], Array]:
-    rod, s = np.ascontiguousarray(rod, dtype=np.int64), np.ascontiguousarray(s, dtype=float)
-    if rod.ndim != 1 or rod.shape != s.shape:
-        raise ValueError(f"rod and s must be vectors of one length, not {rod.shape} and {s.shape}")
-    if np.any((rod < 0) | (rod >= len(rods.length))):
-        raise ValueError(f"rod must be in 0..{len(rods.length) - 1}")
-    if not np.all((s >= 0) & (s <= rods.length[rod])):
-        raise ValueError("s must be an arc-length between 0 and the length of its rod")
-    return rod, s
 
 
 @jit

@@ -12,7 +12,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from fibercontact.rods.basis import CLOTHOID, HELIX, shapes
 
-__all__ = ["Rods", "RootMotion", "State", "circular_rods", "dofs", "part", "rest_state", "still"]
+__all__ = [
+    "Rods",
+    "RootMotion",
+    "State",
+    "checked_points",
+    "checked_roots",
+    "circular_rods",
+    "dofs",
+    "part",
+    "rest_state",
+    "still",
+]
 
 Array = NDArray[np.float64]
 
@@ -113,11 +124,28 @@ def rest_state(rods: Rods, root_position: ArrayLike = 0.0, root_frame: ArrayLike
     The default frame is the world's. ValueError when a root frame is not a rotation.
     """
     R = len(rods.length)
-    position = np.array(np.broadcast_to(root_position, (R, 3)), dtype=float)
-    frame = np.array(np.broadcast_to(np.eye(3) if root_frame is None else root_frame, (R, 3, 3)), dtype=float)
-    orthonormal = np.allclose(frame.transpose(0, 2, 1) @ frame, np.eye(3), rtol=0, atol=1e-9)
-    _require(orthonormal and bool(np.all(np.linalg.det(frame) > 0)), "root_frame must be a rotation")
+    position, frame = checked_roots(R, root_position, root_frame)
     return State(position, frame, rods.q_rest.copy(), np.zeros((R, dofs(rods))))
+
+
+def checked_roots(count: int, position: ArrayLike, frame: ArrayLike | None) -> tuple[Array, Array]:
+    """Positions (R, 3) and frames (R, 3, 3) of `count` roots, from what broadcasts to them; ValueError as above."""
+    positions = np.array(np.broadcast_to(position, (count, 3)), dtype=float)
+    frames = np.array(np.broadcast_to(np.eye(3) if frame is None else frame, (count, 3, 3)), dtype=float)
+    orthonormal = np.allclose(frames.transpose(0, 2, 1) @ frames, np.eye(3), rtol=0, atol=1e-9)
+    _require(orthonormal and bool(np.all(np.linalg.det(frames) > 0)), "root_frame must be a rotation")
+    return positions, frames
+
+
+def checked_points(length: Array, rod: ArrayLike, s: ArrayLike) -> tuple[NDArray[np.int64], Array]:
+    """Rods (m,) and arc-lengths s (m,) of points; ValueError when one is not on a rod, of lengths (R,)."""
+    rod, s = np.ascontiguousarray(rod, dtype=np.int64), np.ascontiguousarray(s, dtype=float)
+    if rod.ndim != 1 or rod.shape != s.shape:
+        raise ValueError(f"rod and s must be vectors of one length, not {rod.shape} and {s.shape}")
+    _require(not np.any((rod < 0) | (rod >= len(length))), f"rod must be in 0..{len(length) - 1}")
+    on_rod = bool(np.all((s >= 0) & (s <= length[rod])))
+    _require(on_rod, "s must be an arc-length between 0 and the length of its rod")
+    return rod, s
 
 
 def _require(condition: bool, message: str) -> None:
