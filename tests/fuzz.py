@@ -17,7 +17,7 @@ import tempfile
 import warnings
 from pathlib import Path
 
-SECONDS, WAITING_SECONDS = float(os.environ.get("FUZZ_SECONDS", 10)), 120.0
+SECONDS, WAITING_SECONDS = 10.0, float(os.environ.get("FUZZ_WAITING_SECONDS", 120))
 """Of processor time for a file, and by the clock: a process that waits for ever spends none."""
 BASE = 2**26
 MOST_PACKED = 1100  # gzip's bytes from one; unpacked values, and as much again for their copies

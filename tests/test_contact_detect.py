@@ -210,8 +210,8 @@ def test_contacts_of_curled_rods_are_found_up_to_their_sagittas(seed, basis):
     rods, state = curled_rods(seed, basis)
     found = detect(centreline(rods, state, P), rods.length, rods.radius, margin=0.3)
     pairs = set(zip(found.fibre_a, found.fibre_b, strict=True))
-    fine, bound = centreline(rods, state, 240), sagitta(rods, P)
-    step = rods.length / 240
+    fine, bound = centreline(rods, state, 120), sagitta(rods, P)
+    step = rods.length / 120
     for a, b in itertools.combinations(range(len(fine)), 2):
         nearest = np.sqrt(((fine[a][:, None] - fine[b][None]) ** 2).sum(axis=2).min())
         if nearest < active - bound[a] - bound[b]:

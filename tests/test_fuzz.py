@@ -9,7 +9,7 @@ from mutations import MUTATIONS, seed_files
 
 from fibercontact.problem.incremental import ProblemError
 
-COUNT = 560
+COUNT = 340
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def test_refusals_are_judged(tmp_path):
 
 
 def test_a_process_that_dies_is_a_fault_and_the_rest_goes_on(seeds, monkeypatch):
-    monkeypatch.setenv("FUZZ_SECONDS", "1e-6")
+    monkeypatch.setenv("FUZZ_WAITING_SECONDS", "1e-6")
     found = examine(seeds[:1], [3, 4])
     assert ["the process ended with -" in outcome["fault"] for outcome in found] == [True, True]
 

@@ -116,9 +116,9 @@ def test_an_indefinite_rod_is_named():
 
 def test_what_is_too_large_for_the_memory_is_refused_before_it_is_allocated():
     d, n = 600_000, 400_000
-    arrow = diags_array(np.full(d, 2.0 * d)).tolil()
-    arrow[0, :] = arrow[:, 0] = 1.0
-    arrow[0, 0] = 2.0 * d
+    first, rest = np.zeros(d - 1, dtype=int), np.arange(1, d)
+    head = coo_array((np.ones(2 * d - 2), (np.append(first, rest), np.append(rest, first))), (d, d))
+    arrow = diags_array(np.full(d, 2.0 * d)) + head
     with pytest.raises(ProblemError, match=r"the factor of M needs 1.34e\+03 GiB"):
         Mobility(csr_array(arrow))
     pendulum = StepProblem(
