@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from oracles import coulomb_solutions, residual, strands
 from scipy.linalg import null_space
 
+from fibercontact.files import replace_file
 from fibercontact.problem.fclib import read
 from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.reference import store
@@ -231,6 +232,13 @@ def test_other_solutions_are_stored(tmp_path):
     assert same(place.get("key", problem, Search(starts=0)), other)
 
 
+def test_another_solution_that_is_none_is_not_given_back(shelf):
+    step, place, _ = shelf
+    with h5py.File(place.parts / "one.hdf5", "r+") as file:
+        file["one/others/0/r"] = np.ones(3 * step.n)
+    assert place.get("one", step, QUICK).uniqueness.others == ()
+
+
 def test_the_solution_is_a_group_of_fclib(shelf):
     step, place, first = shelf
     place.pack()
@@ -255,6 +263,27 @@ def test_packing_keeps_what_was_packed_and_prefers_what_is_new(shelf):
             "one": "renamed",
             "two": "the second",
         }
+
+
+def test_what_a_killed_run_left_half_written_is_no_part(shelf):
+    _, place, _ = shelf
+    (place.parts / ".two.abcd1234.hdf5").write_bytes(b"")
+    assert place.keys() == {"one"}
+    place.pack()
+    assert place.keys() == {"one"}
+
+
+def test_what_another_run_stores_during_the_packing_is_kept(shelf, monkeypatch):
+    step, place, found = shelf
+
+    def slow(path, content):
+        replace_file(path, content)
+        if path == place.file:
+            place.put("two", "the second", step, found, QUICK)
+
+    monkeypatch.setattr(store, "replace_file", slow)
+    place.pack()
+    assert place.keys() == {"one", "two"}
 
 
 @pytest.mark.parametrize(
@@ -288,6 +317,15 @@ def test_a_best_known_answer_is_never_the_truth_and_not_sought_again_alike(tmp_p
     assert same(place.find("key", "walls", problem, search), first)
     with pytest.raises(AssertionError, match="computed again"):
         place.find("key", "walls", problem, Search(max_seconds=0.6))
+
+
+def test_a_best_known_answer_is_the_truth_where_less_is_asked(tmp_path):
+    step, place = strands(4, mu=0.3), Store(tmp_path / "set.hdf5")
+    strict = Search(bar=1e-20, max_seconds=0.5, starts=0)
+    assert not place.find("key", "name", step, strict).reference.accepted
+    found = place.get("key", step, replace(strict, bar=1e-8)).reference
+    assert found.accepted
+    assert found.method == min(found.attempts, key=lambda attempt: attempt.residual).method
 
 
 @pytest.mark.parametrize("damage", ["not HDF5", "no residual", "shape"])

@@ -9,13 +9,13 @@
 
 HASH is the start of the SHA-256 of the problem's file. While a set is worked on, each problem is a file of its own in
 a folder beside that file, so that nothing is lost when the run ends at any instant; `pack` puts them together.
-Nothing is believed: residual and certificate are computed anew when a group is read.
+Nothing is believed: residuals and certificate are computed anew when a group is read.
 """
 
 import io
 import json
 import math
-import shutil
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
@@ -102,11 +102,11 @@ class Store:
         if self.file.exists():
             with _opened(self.file) as file:
                 packed = set(file)
-        return packed | {path.stem for path in self.parts.glob("*.hdf5")}
+        return packed | {path.stem for path in self._kept()}
 
     def pack(self) -> None:
         """Move the parts into the file, which is replaced whole; parts go before what it held."""
-        parts = sorted(self.parts.glob("*.hdf5")) if self.parts.is_dir() else []
+        parts = self._kept()
         if not parts:
             return
         image = io.BytesIO()
@@ -116,7 +116,14 @@ class Store:
                     for key in sorted(set(source) - set(target)):
                         source.copy(key, target)
         replace_file(self.file, image.getvalue())
-        shutil.rmtree(self.parts)
+        for path in parts:
+            path.unlink()
+        with suppress(OSError):  # another run has put something there meanwhile
+            self.parts.rmdir()
+
+    def _kept(self) -> list[Path]:
+        """The parts, without the drafts of a process that was killed while it wrote one."""
+        return sorted(self.parts.glob("[!.]*.hdf5"))
 
 
 def part(key: str, name: str, problem: Problem, found: GroundTruth, search: Search) -> bytes:
@@ -171,15 +178,17 @@ def _believed(group: h5py.Group, problem: Problem, search: Search) -> GroundTrut
     if residual <= search.bar and search.starts > int(says["tried"]) and problem.mu.any():
         return None
     attempts = tuple(Attempt(**fields) for fields in json.loads(says["attempts"]))
+    best = min(attempts, key=lambda attempt: attempt.residual)
     certificate, associated = _vector(group, "certificate", problem), _vector(group, "associated/r", problem)
     margin = recheck(incremental, says["existence"], certificate)
-    others = tuple(_vector(group, f"others/{k}/r", problem) for k in sorted(group.get("others", ()), key=int))
+    others = (_vector(group, f"others/{k}/r", problem) for k in sorted(group.get("others", ()), key=int))
+    solutions = tuple(other for other in others if measure(incremental, other).coulomb <= search.bar)
     return GroundTruth(
         Existence(says["existence"] if margin > 0.0 else UNDECIDED, certificate, margin),
-        Reference(r, residual, says["method"] if residual <= search.bar else NONE, attempts),
+        Reference(r, residual, best.method if residual <= search.bar else NONE, attempts),
         associated,
         duality_gap(incremental, associated),
-        Uniqueness(int(says["tried"]), int(says["reached"]), float(says["distance"]), others),
+        Uniqueness(int(says["tried"]), int(says["reached"]), float(says["distance"]), solutions),
         float(says["seconds"]),
     )
 
