@@ -235,6 +235,29 @@ def test_a_peer_that_fails_says_how_and_can_be_asked_again(fake, name, fault, wo
             ask(peer)
 
 
+def test_the_last_words_are_those_of_the_request_that_it_died_of(fake):
+    peer = fake(FAKES["crashes"], lay_out="os.write(2, b'all is well ' * 99)")
+    with pytest.raises(Died, match=r"^its process died of SIGSEGV: an assertion failed$"):
+        ask(peer)
+
+
+def test_an_interruption_leaves_no_answer_behind_for_the_next_question(fake, monkeypatch):
+    peer, read = fake(FAKES["echo"]), Child._read
+    ask(
+        peer
+    )  # from here on there is a process: `warm` and `solve` are asked, each answer is read in two pieces
+    pieces = iter([read, read, interrupted])
+    monkeypatch.setattr(Child, "_read", lambda self, count: next(pieces)(self, count))
+    with pytest.raises(KeyboardInterrupt):
+        ask(peer, start=np.full(15, 1.0))
+    monkeypatch.setattr(Child, "_read", read)
+    np.testing.assert_array_equal(ask(peer, start=np.full(15, 2.0)).r, 2.0)
+
+
+def interrupted(*_):
+    raise KeyboardInterrupt
+
+
 def test_impulses_that_are_not_numbers_come_through_to_be_judged(fake):
     assert math.isinf(measure(problem(), ask(fake(FAKES["nan"])).r).residual)
 
@@ -367,9 +390,12 @@ def test_a_missing_peer_says_how_to_install_it(tmp_path, monkeypatch):
     monkeypatch.setenv("FIBERCONTACT_RARE_PYTHON", sys.executable)
     assert peer.find().version == "1.0"
     assert peer.find().python == sys.executable
-    monkeypatch.setenv("FIBERCONTACT_RARE_PYTHON", str(tmp_path / "nowhere"))
-    with pytest.raises(Missing, match=r"rare is not in .*nowhere.*apt install rare"):
-        peer.find()
+    (tmp_path / "text").write_text("no program")
+    (tmp_path / "text").chmod(0o755)
+    for place, words in (("nowhere", ""), ("text", r" \(.*: it cannot be run: .*\)")):
+        monkeypatch.setenv("FIBERCONTACT_RARE_PYTHON", str(tmp_path / place))
+        with pytest.raises(Missing, match=rf"^rare is not in .*{place}{words}: apt install rare"):
+            peer.find()
 
 
 def test_a_python_without_the_peer_says_what_it_lacks(tmp_path, monkeypatch):
@@ -444,61 +470,68 @@ def test_a_solution_is_a_start_that_peers_keep(name):
 # Rows
 
 
-@pytest.fixture
-def siconos(tmp_path, monkeypatch):
-    """Makes a Python that has a fake Siconos, found by the environment variable, as a worker would."""
-
-    def make(name):
-        python = tmp_path / f"python-{name}"
-        fake = desk(tmp_path, FAKES[name])
-        python.write_text(f"#!/bin/sh\nexec {sys.executable} {CHILDREN / 'serve.py'} {fake}\n")
-        python.chmod(0o755)
-        monkeypatch.setenv("FIBERCONTACT_SICONOS_PYTHON", str(python))
-
-    return make
+FATES = {"NSN_AC": FAKES["crashes"], "NSN_FB": FAKES["hangs"], "NSN_NM": FAKES["zero"]}
+"""What the solvers of a fake Siconos do; the others give back their start."""
 
 
-def table(tmp_path, *arguments):
-    found = CliRunner().invoke(app, ["table", "--set", str(tmp_path / "set"), "--out", str(tmp_path / "run"),
+def table(folder, *arguments):
+    found = CliRunner().invoke(app, ["table", "--set", str(folder / "set"), "--out", str(folder / "run"),
                                      "--accuracy", "mid", "--jobs", "1", *arguments])  # fmt: skip
-    file = tmp_path / "run" / "rows.jsonl"
+    file = folder / "run" / "rows.jsonl"
     rows = [json.loads(line) for line in file.read_text().splitlines()] if file.is_file() else []
     return found, {row["solver"]: row for row in rows if row["mode"] == "timed"}
+
+
+@pytest.fixture(scope="module")
+def rows(tmp_path_factory):
+    """The rows of a table with all solvers of a fake Siconos, which starts from the answer."""
+    folder = tmp_path_factory.mktemp("fates")
+    (folder / "set").mkdir()
+    answer = GaussSeidel(configure("secular", registered()), tolerance=1e-8).solve(problem()).r
+    write(folder / "set" / "one.hdf5", problem(), guesses=[Solution(r=answer)])
+    fates = (
+        f"if order['solver'] == {solver!r}: {fate or 'return found, r'}" for solver, fate in FATES.items()
+    )
+    fake = desk(folder, "\n        ".join([*fates, "r = start"]))
+    python = folder / "python"
+    python.write_text(f"#!/bin/sh\nexec {sys.executable} {CHILDREN / 'serve.py'} {fake}\n")
+    python.chmod(0o755)
+    with pytest.MonkeyPatch.context() as patch:  # found by the environment variable, as a worker would
+        patch.setenv("FIBERCONTACT_SICONOS_PYTHON", str(python))
+        found, rows = table(folder, "--solvers", "secular", "--peers", "siconos", "--start", "guess",
+                            "--max-seconds", "0.5")  # fmt: skip
+    assert found.exit_code == 0, found.output
+    return rows
 
 
 @pytest.mark.parametrize(
     ("name", "reason", "claimed"),
     [
-        ("zero", "false success", True),
-        ("crashes", "crash", False),
-        ("hangs", "time", False),
+        ("siconos-nsn-nm", "false success", True),
+        ("siconos-nsn-ac", "crash", False),
+        ("siconos-nsn-fb", "time", False),
+        ("siconos-prox", "", True),
     ],
 )
-def test_what_becomes_of_a_peer_is_a_row(tmp_path, siconos, name, reason, claimed):
-    (tmp_path / "set").mkdir()
-    write(tmp_path / "set" / "one.hdf5", problem())
-    siconos(name)
-    found, rows = table(tmp_path, "--solvers", "secular,siconos-prox", "--max-seconds", "0.5")
-    assert found.exit_code == 0, found.output
-    row = rows["siconos-prox"]
-    assert (row["reason"], row["claimed"], row["solved"]) == (reason, claimed, False)
+def test_what_becomes_of_a_peer_is_a_row(rows, name, reason, claimed):
+    row = rows[name]
+    assert (row["reason"], row["claimed"], row["solved"]) == (reason, claimed, not reason)
     assert row["fingerprint"].startswith("siconos 1.0 ")
     assert row.get("own_residual") == (1e-12 if claimed else None)
-    assert rows["secular"]["solved"]
-    if name == "crashes":
+    if reason == "crash":
         assert row["detail"] == "its process died of SIGSEGV: an assertion failed"
 
 
-def test_the_time_of_a_peer_is_by_its_own_clock(tmp_path, siconos):
-    (tmp_path / "set").mkdir()
-    given = problem()
-    ours = GaussSeidel(configure("secular", registered()), tolerance=1e-8).solve(given).r
-    write(tmp_path / "set" / "one.hdf5", given, guesses=[Solution(r=ours)])
-    siconos("echo")
-    _, rows = table(tmp_path, "--solvers", "siconos-prox", "--start", "guess")
-    assert rows["siconos-prox"]["solved"]
+def test_the_time_of_a_peer_is_by_its_own_clock(rows):
     assert rows["siconos-prox"]["time_median"] == 0.25
     assert rows["siconos-prox"]["sweeps"] == 3
+
+
+def test_all_solvers_of_a_peer_are_rows_and_harm_no_other(rows):
+    assert set(rows) == {"secular", *specifications("siconos")}
+    assert {"siconos-nsgs", "siconos-nsgs:full=1", "siconos-prox"} < set(rows)
+    unsolved = {name for name, row in rows.items() if not row["solved"]}
+    assert unsolved == {"siconos-nsn-ac", "siconos-nsn-fb", "siconos-nsn-nm"}
 
 
 def test_peers_that_are_missing_are_skipped_with_a_line(tmp_path, monkeypatch):
@@ -524,16 +557,6 @@ def test_an_unknown_peer_is_refused_with_those_that_are_known(tmp_path):
     found, _ = table(tmp_path, "--peers", "bullet")
     assert found.exit_code == 2
     assert "unknown peer 'bullet' (known: siconos, pinocchio)" in found.output
-
-
-def test_all_solvers_of_a_peer_are_rows(tmp_path, siconos):
-    (tmp_path / "set").mkdir()
-    write(tmp_path / "set" / "one.hdf5", problem())
-    siconos("zero")
-    found, rows = table(tmp_path, "--solvers", "secular", "--peers", "siconos")
-    assert found.exit_code == 0
-    assert set(rows) == {"secular", *specifications("siconos")}
-    assert {"siconos-nsgs", "siconos-nsgs:full=1", "siconos-prox"} < set(rows)
 
 
 @pytest.mark.parametrize("name", HERE)

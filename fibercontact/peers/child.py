@@ -48,15 +48,19 @@ class Child:
     """A Python that runs the desk in the file `desk`. Raises `Late`, `Died` or `Faulty` when it does not come up."""
 
     def __init__(self, python: str, desk: Path) -> None:
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115
-        self._process = subprocess.Popen(
-            [python, serve.__file__, str(desk)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._errors,
-            bufsize=0,
-            env=_environment(python),
-        )
+        self._errors = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115
+        try:
+            self._process = subprocess.Popen(
+                [python, serve.__file__, str(desk)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self._errors,
+                bufsize=0,
+                env=_environment(python),
+            )
+        except OSError as fault:
+            self._errors.close()
+            raise Died(f"it cannot be run: {fault.strerror}") from None
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._requests, self._answers = self._process.stdin, self._process.stdout
@@ -76,7 +80,8 @@ class Child:
         Raises `Late` and `Died`, after which there is no process any more, `Faulty` and `Unsuitable`.
         """
         self._begin(do, limit)
-        self._errors.truncate(0)
+        self._errors.seek(0)  # the process writes where this file stands, too
+        self._errors.truncate()
         self._write(serve.message({"do": do, "seconds": limit, **fields}, arrays))
         return self._answer()
 

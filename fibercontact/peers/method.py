@@ -12,7 +12,7 @@ from fibercontact.errors import UserError
 from fibercontact.gauss_seidel.blocks import BlockSystem
 from fibercontact.global_methods.contract import Answer, GlobalMethod, Task, Unsuited
 from fibercontact.local.contract import Option
-from fibercontact.peers.child import Child, Died, Faulty, Late, Unsuitable
+from fibercontact.peers.child import Child, Faulty, Late, Unsuitable
 from fibercontact.peers.peer import Peer
 
 __all__ = ["Units", "blocks_of", "peer_method", "units_of"]
@@ -107,14 +107,20 @@ def _solve(
 def _exchange(
     key: tuple[Peer, bool], system: BlockSystem, units: Units, task: Task, asked: dict[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Hand the problem over, if that has not been done, and have it solved; a process that has gone is forgotten."""
+    """Hand the problem over, if that has not been done, and have it solved.
+
+    A process that has gone is forgotten, and one that was not waited for is ended: its answer may still come.
+    """
     start = np.zeros_like(system.b) if task.start is None else task.start / units.r
     try:
         child = _loaded(key, system, units)
         child.ask("warm", {}, WARM_SECONDS, **asked)
         return child.ask("solve", {"start": start}, task.max_seconds + ANSWER_SECONDS, **asked)
-    except (Late, Died):
-        _sessions.pop(key, None)
+    except (Faulty, Unsuitable):
+        raise
+    except BaseException:
+        if session := _sessions.pop(key, None):
+            session.child.end()
         raise
 
 
