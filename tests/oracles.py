@@ -7,6 +7,7 @@ from scipy.integrate import solve_bvp
 from scipy.optimize import brentq, nnls
 from scipy.sparse import block_diag, csr_array
 
+from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.problem.step import StepProblem
 
 TANGENT = np.diag([0.0, 1.0, 1.0])
@@ -185,6 +186,13 @@ def elastica_tip(weight):
         assert solution.success
         guess = solution.sol(s)
     return np.array([solution.y[2, -1], 0, -solution.y[3, -1]])
+
+
+def walls(closing=1.0):
+    """A mass between two walls that close in on it at this speed: no velocity satisfies both, unless it is <= 0."""
+    W = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(3))
+    b = np.array([-closing, 0.0, 0.0, -closing, 0.0, 0.0])
+    return IncrementalProblem.from_sparse(W, b, np.full(2, 0.3))
 
 
 STEPS = {

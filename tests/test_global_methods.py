@@ -263,6 +263,14 @@ def test_a_start_that_does_not_fit_is_refused(name, start):
 
 
 @pytest.mark.parametrize("name", METHODS)
+def test_a_start_beyond_all_measure_is_no_answer(name):
+    with np.errstate(all="ignore"):
+        found = solve(name, PROBLEMS["stiff"], iterations=5, start=np.full(24, 1e308))
+    assert found.r.shape == (24,)
+    assert not found.claimed
+
+
+@pytest.mark.parametrize("name", METHODS)
 def test_contacts_that_part_and_no_contacts_at_all(name):
     apart = IncrementalProblem.from_sparse(eye_array(6), np.array([1.0, 0, 0, 2.0, 1, 0]), np.full(2, 0.5))
     found = solve(name, apart)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from oracles import coulomb_solutions, residual, strands
+from oracles import coulomb_solutions, residual, strands, walls
 from scipy.linalg import null_space
 
 from fibercontact.files import replace_file
@@ -25,13 +25,6 @@ from fibercontact.reference.uniqueness import DIFFERENT, random_impulse, uniquen
 
 TWO_SOLUTIONS = Path(__file__).parents[2] / "shared" / "fclib" / "OneObject-i100000-316.hdf5"
 QUICK = Search(max_seconds=10.0, starts=1)
-
-
-def walls(closing):
-    """A mass between two walls; they close in on it at this speed, or move apart if it is negative."""
-    W = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(3))
-    b = np.array([-closing, 0.0, 0.0, -closing, 0.0, 0.0])
-    return IncrementalProblem.from_sparse(W, b, np.full(2, 0.3))
 
 
 def in_both_forms(seed):
@@ -73,7 +66,7 @@ def test_walls_at_rest_decide_nothing(closing, verdict):
 
 
 def test_a_certificate_of_one_verdict_proves_no_other():
-    solvable, unsolvable = strands(1).condense(), walls(1.0)
+    solvable, unsolvable = strands(1).condense(), walls()
     z, r = existence(solvable).certificate, existence(unsolvable).certificate
     assert recheck(solvable, UNSOLVABLE, z) == 0.0
     assert recheck(unsolvable, SOLVABLE, r) <= 0.0
@@ -306,7 +299,7 @@ def test_what_a_file_claims_is_measured(shelf, name):
 
 
 def test_a_best_known_answer_is_never_the_truth_and_not_sought_again_alike(tmp_path, monkeypatch):
-    problem, place, search = walls(1.0), Store(tmp_path / "set.hdf5"), Search(max_seconds=0.5)
+    problem, place, search = walls(), Store(tmp_path / "set.hdf5"), Search(max_seconds=0.5)
     first = place.find("key", "walls", problem, search)
     assert (first.reference.method, first.reference.accepted) == (NONE, False)
     assert first.existence.verdict == UNSOLVABLE

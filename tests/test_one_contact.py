@@ -424,8 +424,13 @@ def folder(tmp_path_factory):
     return folder
 
 
-def test_a_harvest_is_visits_of_the_runs_with_the_hard_ones_beside(folder, monkeypatch):
+@pytest.fixture(autouse=True)
+def _little_hard_set(monkeypatch):
+    """The true one takes seconds; test_hard_set looks at it."""
     monkeypatch.setattr(harvesting, "hard_set", lambda: contacts(2, 0, "known: a"))
+
+
+def test_a_harvest_is_visits_of_the_runs_with_the_hard_ones_beside(folder, monkeypatch):
     monkeypatch.setattr(harvesting, "SLOW", 2)
     monkeypatch.setattr(harvesting, "KEPT", 3)
     solvers = [configured("secular"), configured("mfb")]
@@ -461,5 +466,6 @@ def test_the_harvest_command_writes_a_set(folder, tmp_path):
     assert result.exit_code == 0, result.stderr
     found = read(tmp_path / "set.h5")
     assert {family.partition(":")[0] for family in found.family} >= {"uniform", "known"}
+    same(found.select(found.family == "known: a"), contacts(2, 0, "known: a"))
     assert read_counts(tmp_path / "set.h5")["visits"] > 0
     assert call("harvest", tmp_path / "none", "--out", tmp_path / "set.h5").exit_code == 2

@@ -7,7 +7,7 @@ import numpy as np
 import oracle_mp
 import oracles
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from oracle_mp import coulomb_solutions, positive_roots, residual
 
@@ -159,6 +159,7 @@ def test_the_natural_map_vanishes_at_solutions_and_nowhere_else(mu, sigma):
 # ---- theorems
 
 
+@settings(max_examples=40)
 @given(SEEDS)
 def test_the_law_holds_to_forty_digits(seed):
     """Each solution obeys each clause of Coulomb's law, and the natural map vanishes at it."""
@@ -185,12 +186,14 @@ def test_the_law_holds_to_forty_digits(seed):
             )
 
 
+@settings(max_examples=40)
 @given(SEEDS)
 def test_a_solution_exists(seed):
     """For SPD `W` and any mu >= 0 there is one: `W z + b` covers the interior of `K_mu*` [Acary et al. 2011]."""
     assert coulomb_solutions(*random_contact(seed, 1e14, 100.0))
 
 
+@settings(max_examples=40)
 @given(SEEDS)
 def test_it_is_the_only_one_for_little_friction(seed):
     """Unique when `mu² lambda_max(W_TT) (W⁻¹)_NN < 1`: then `s ↦ ‖u_T(s)‖` is a contraction.
@@ -204,6 +207,7 @@ def test_it_is_the_only_one_for_little_friction(seed):
         assert len(coulomb_solutions(W, b, mu)) == 1
 
 
+@settings(max_examples=40)
 @given(SEEDS)
 def test_an_approaching_contact_has_an_odd_number_of_solutions(seed):
     """`b_N < 0`: `phi` ends negative; it begins negative where the contact sticks, positive where it does not."""
@@ -211,6 +215,7 @@ def test_an_approaching_contact_has_an_odd_number_of_solutions(seed):
     assert len(coulomb_solutions(W, [-abs(b[0]), b[1], b[2]], mu)) % 2 == 1
 
 
+@settings(max_examples=40)
 @given(SEEDS, st.integers(-100, 100), st.integers(-100, 100))
 def test_solutions_scale(seed, s, t):
     """`W → sW`, `b → tb`: the solutions are those of before, times t/s; exactly, for powers of two."""
@@ -227,6 +232,7 @@ def test_solutions_scale(seed, s, t):
 # ---- the slow references in doubles
 
 
+@settings(max_examples=40)
 @given(SEEDS)
 def test_the_scan_finds_the_same_solutions(seed):
     W, b, mu = random_contact(seed, 100.0, 2.0)

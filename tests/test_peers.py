@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import oracles
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from typer.testing import CliRunner
@@ -46,6 +46,7 @@ values = st.one_of(arrays.arrays(np.float64, shapes), arrays.arrays(np.int32, sh
 contents = st.tuples(fields, st.dictionaries(names, values, max_size=3))
 
 
+@settings(max_examples=50)
 @given(st.lists(contents, max_size=3))
 def test_messages_come_through_a_pipe_as_they_were(sent):
     pipe = io.BytesIO(b"".join(message(*content) for content in sent))
@@ -59,6 +60,7 @@ def test_messages_come_through_a_pipe_as_they_were(sent):
         receive(pipe.read)
 
 
+@settings(max_examples=50)
 @given(contents, st.floats(0, 1, exclude_max=True))
 def test_a_message_cut_short_is_the_end(content, share):
     whole = message(*content)
@@ -66,6 +68,7 @@ def test_a_message_cut_short_is_the_end(content, share):
         receive(io.BytesIO(whole[: int(share * len(whole))]).read)
 
 
+@settings(max_examples=50)
 @given(contents, st.binary(min_size=4, max_size=40))
 def test_garbage_is_no_message(content, garbage):
     whole = message(*content)

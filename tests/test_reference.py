@@ -1,12 +1,13 @@
 """Cadoux's fixed point, and references."""
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from oracles import STEPS, coulomb_solutions, definite, residual
+from oracles import STEPS, coulomb_solutions, definite, residual, walls
 
 from fibercontact.gauss_seidel.solver import GaussSeidel
 from fibercontact.local.registry import configure, registered
@@ -22,13 +23,6 @@ SMALL = sorted(path for path in SHARED.glob("*.hdf5") if path.stat().st_size < 4
 FORMS = {"velocity": velocity_form, "impulse": impulse_form}
 
 
-def squeezed():
-    """A mass between two walls that close in on it: no velocity satisfies both, so there is no solution."""
-    W = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(3))
-    b = np.array([-1.0, 0.0, 0.0, -1.0, 0.0, 0.0])
-    return IncrementalProblem.from_sparse(W, b, np.full(2, 0.3))
-
-
 def velocity(problem, r):
     return problem.W @ r + problem.b
 
@@ -36,12 +30,17 @@ def velocity(problem, r):
 # Cadoux's fixed point
 
 
+def cadoux(problem, tolerance=1e-6, **how):
+    """The loop without a clock: its iterations end it."""
+    return Cadoux(tolerance=tolerance, max_seconds=math.inf, **how).solve(problem)
+
+
 @pytest.mark.parametrize("form", FORMS.values(), ids=FORMS)
 @pytest.mark.parametrize("name", STEPS)
 def test_the_fixed_point_obeys_coulombs_law(name, form):
     step = STEPS[name]
     problem = step.condense()
-    run = Cadoux(form, tolerance=1e-6).solve(step)
+    run = cadoux(step, form=form)
     assert residual(problem.W.toarray(), problem.b, problem.mu, run.r) <= 1.001e-6
     assert run.residual == pytest.approx(
         residual(problem.W.toarray(), problem.b, problem.mu, run.r), rel=1e-3
@@ -52,7 +51,7 @@ def test_the_fixed_point_obeys_coulombs_law(name, form):
 def test_one_contact_is_solved_as_by_scanning(seed, mu):
     rng = np.random.default_rng(seed)
     W, b = definite(rng, 10.0), rng.standard_normal(3)
-    run = Cadoux(tolerance=1e-8).solve(IncrementalProblem.from_sparse(W, b, np.array([mu])))
+    run = cadoux(IncrementalProblem.from_sparse(W, b, np.array([mu])), 1e-8)
     assert min(np.abs(run.r - r).max() for r in coulomb_solutions(W, b, mu)) <= 1e-4
 
 
@@ -66,8 +65,8 @@ def one_contact(condition, seed):
 @pytest.mark.parametrize(("condition", "seed"), [(1e2, 54), (1e2, 103), (1e2, 56), (1e2, 75)])
 def test_the_plain_loop_cycles_on_ill_conditioned_contacts_and_the_others_do_not(condition, seed, stages):
     problem = one_contact(condition, seed)
-    assert Cadoux(tolerance=1e-6, stages=STAGES[1:2]).solve(problem).residual > 1e-2
-    run = Cadoux(tolerance=1e-6, stages=stages).solve(problem)
+    assert cadoux(problem, stages=STAGES[1:2]).residual > 1e-2
+    run = cadoux(problem, stages=stages)
     assert run.residual <= 1e-6
     assert run.stage == stages[0].name
 
@@ -78,8 +77,8 @@ def test_the_plain_loop_cycles_on_ill_conditioned_contacts_and_the_others_do_not
 )
 def test_a_stage_takes_over_where_the_last_stalls(condition, seed, stage):
     problem = one_contact(condition, seed)
-    assert Cadoux(tolerance=1e-6, stages=STAGES[:1]).solve(problem).residual > 1e-2
-    run = Cadoux(tolerance=1e-6).solve(problem)
+    assert cadoux(problem, stages=STAGES[:1]).residual > 1e-2
+    run = cadoux(problem)
     assert run.residual <= 1e-6
     assert run.stage.startswith(stage)
 
@@ -111,7 +110,7 @@ def test_problems_of_other_simulators_have_a_reference(path):
 
 
 def test_a_problem_without_solution_has_no_reference():
-    problem = squeezed()
+    problem = walls()
     found = reference(problem, max_seconds=0.3)
     assert found.method == NONE
     assert not found.accepted

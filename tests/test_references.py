@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 import pandas as pd
 import pytest
-from oracles import residual, strands
+from oracles import residual, strands, walls
 from typer.testing import CliRunner
 
 from fibercontact.bench import references
@@ -28,19 +28,19 @@ from fibercontact.reference.store import Store, references_file
 SEARCH = Search(max_seconds=4.0, starts=1)
 
 
-def squeezed():
-    """A mass between two walls that close in on it: there is no solution."""
-    W = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(3))
-    return IncrementalProblem.from_sparse(W, np.array([-1.0, 0.0, 0.0, -1.0, 0.0, 0.0]), np.full(2, 0.3))
-
-
 @pytest.fixture
 def folder(tmp_path):
-    folder = tmp_path / "my set"
+    """Two problems with a solution and one without."""
+    folder = solvable(tmp_path / "my set", 2)
+    write(folder / "squeezed.hdf5", walls())
+    return folder
+
+
+def solvable(folder, count):
+    """A set of problems that take little time."""
     folder.mkdir()
-    for seed in (1, 2):
+    for seed in range(1, count + 1):
         write(folder / f"strands{seed}.hdf5", strands(seed))
-    write(folder / "squeezed.hdf5", squeezed())
     return folder
 
 
@@ -67,7 +67,10 @@ def test_a_set_is_worked_through_and_a_second_run_computes_nothing(folder):
 
 def test_a_proved_unsolvable_problem_is_marked_in_its_set_if_the_proof_holds(folder):
     """Tables leave these out of the failure rate."""
-    find_references(load_set(folder), references_file(folder), SEARCH, 1, no_one)
+    store = Store(references_file(folder))
+    for entry in load_set(folder):
+        store.find(entry.hash, entry.name, read(entry.file).problem, SEARCH)
+    store.pack()
     assert [entry.existence for entry in load_set(folder)] == ["unsolvable", "", ""]
     with h5py.File(references_file(folder), "r+") as file:
         file[load_set(folder)[0].hash]["certificate"][:] = 0.0
@@ -88,8 +91,8 @@ def workers(monkeypatch):
     return made
 
 
-def test_an_interruption_loses_nothing_and_leaves_no_process(folder, workers):
-    processes = []
+def test_an_interruption_loses_nothing_and_leaves_no_process(tmp_path, workers):
+    folder, processes = solvable(tmp_path / "set", 3), []
 
     def interrupt(row):
         processes.extend(worker._process for worker in workers)
@@ -108,7 +111,8 @@ def test_an_interruption_loses_nothing_and_leaves_no_process(folder, workers):
     assert not Store(file).parts.exists()
 
 
-def test_a_process_that_dies_costs_its_problem_and_says_so(folder, workers, monkeypatch):
+def test_a_process_that_dies_costs_its_problem_and_says_so(tmp_path, workers, monkeypatch):
+    folder = solvable(tmp_path / "set", 3)
     ask, asked = Worker.ask, []
 
     def dying(self, name, arguments, limit):
@@ -147,7 +151,7 @@ def test_a_row_says_what_convexity_costs():
 def test_summary_and_notes_hide_nothing():
     rows = [
         {"scene": "a", "problem": "a1"} | describe(strands(1), ground_truth(strands(1), SEARCH)),
-        {"scene": "a", "problem": "a2"} | describe(squeezed(), ground_truth(squeezed(), SEARCH)),
+        {"scene": "a", "problem": "a2"} | describe(walls(), ground_truth(walls(), SEARCH)),
         {"scene": "b", "problem": "b1", "contacts": 3, "existence": "undecided", "reference": "sweeps",
          "residual": 1e-12, "starts": 2, "solutions": 3, "distance": 0.7, "associated_gap": 1e-11},
     ]  # fmt: skip

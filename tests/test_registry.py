@@ -80,6 +80,8 @@ def test_a_specification_sets_options(specification, options, facets):
         ("mfb:speed=3", r"unknown option 'speed' \(known: tolerance, max_iterations\)"),
         ("mfb:tolerance=small", "'mfb:tolerance=small'"),
         ("mfb:tolerance", "'mfb:tolerance'"),
+        ("mfb:tolerance=nan", "option 'tolerance' is not a number"),
+        ("mfb:tolerance=1, tolerance=2", "option 'tolerance' is given twice"),
         ("pyramid:facets=2", "'facets' must be an integer >= 3, not 2"),
         ("pyramid:facets=4.5", "'facets' must be an integer >= 3, not 4.5"),
         ("pyramid:facets=-8", "'facets' must be an integer >= 3, not -8"),
@@ -165,6 +167,24 @@ def test_a_kernel_without_the_decorator_is_refused(tmp_path):
     assert str(file) in str(caught.value)
 
 
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
+@pytest.mark.parametrize(
+    ("several", "message"),
+    [
+        ("kernel", r"the several of 'constant' does not compile to .* -> \(done, r, iterations\) on Lanes"),
+        ("kernel.py_func", "the several of 'constant' is not decorated with @jit"),
+    ],
+)
+def test_what_solves_several_contacts_is_refused_by_its_own_name(tmp_path, several, message):
+    file = plugin(tmp_path)
+    source = file.read_text(encoding="utf-8").replace(
+        "LocalSolver(kernel", f"LocalSolver(kernel, several={several}"
+    )
+    file.write_text(source, encoding="utf-8")
+    with pytest.raises(SolverError, match=message):
+        configure("constant", registered([file])).several()
+
+
 IMPORTS = "import helper"
 HELPER = "from fibercontact.jit import jit\n\n@jit\ndef push(b):\n    return {value}\n"
 
@@ -223,6 +243,16 @@ def test_plugins_do_not_share_the_helpers_beside_them(tmp_path):
         (folder / "helper.py").write_text(HELPER.format(value=value), encoding="utf-8")
         answers.append(answer(configure("constant", registered([file])))[1][0])
     assert answers == [7.0, 8.0]
+
+
+@pytest.mark.parametrize("imports", ["import helper", "import helper.push", "from helper.push import push"])
+def test_a_package_beside_a_plugin_is_refused(tmp_path, imports):
+    """Compiled code is kept by the sources of the modules beside a plugin; what is in a package would go stale."""
+    file = plugin(tmp_path, imports=imports)
+    (tmp_path / "helper").mkdir()
+    (tmp_path / "helper" / "__init__.py").touch()
+    with pytest.raises(SolverError, match=r"constant\.py: 'helper' beside it is a package"):
+        registered([file])
 
 
 def entry_point(name, thing, distribution="somewhere"):

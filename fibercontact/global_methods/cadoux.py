@@ -46,8 +46,8 @@ def cadoux(begin: Begin, run: Run) -> Solve:
 
     def solve(system: BlockSystem, task: Task, options: Array) -> Answer:
         p, budget, target = scale(system), Budget(task), MARGIN * task.target
-        best, x, steps = (math.inf, np.zeros(0)), start_of(p, task), 0
-        y = np.empty_like(x)
+        x, steps = start_of(p, task), 0
+        best, y = (math.inf, x), np.empty_like(x)
         while True:
             velocity(p.A, x, y)
             residual = cone_residual(p, NO_SLIP, x, y)

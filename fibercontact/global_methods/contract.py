@@ -80,4 +80,4 @@ class GlobalMethod(Declared):
     solve: Solve
     options: Mapping[str, Option] = field(default_factory=dict)
     facets: int | str = COULOMB
-    prepare: Callable[[], None] | None = None
+    prepare: Callable[[], object] | None = None

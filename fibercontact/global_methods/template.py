@@ -46,9 +46,7 @@ def largest_eigenvalue(p: Scaled, iterations: int) -> float:
 # a function of scalars and arrays; `fibercontact/global_methods` has examples. NUMBA_DISABLE_JIT=1 for a debugger.
 def solve(system: BlockSystem, task: Task, options: Array) -> Answer:
     """Solve a problem: find `r` such that `u = W r + b` and `r` obey Coulomb's law at every contact."""
-    budget = Budget(
-        task
-    )  # the clock runs: look at it, for who does not is killed some seconds after its time
+    budget = Budget(task)  # the clock runs: who does not look at it is killed some seconds after its time
     p = scale(system)
     relaxation, powers = options[0], int(options[1])  # in the order of their declaration below
     step = relaxation / max(largest_eigenvalue(p, powers), 1e-300)

@@ -93,11 +93,13 @@ class Declared:
     facets: int | str
 
     def option_values(self, given: Mapping[str, float]) -> NDArray[np.float64]:
-        """Option values in declared order; raises `ValueError` on a name that is not declared."""
+        """Option values in declared order; raises `ValueError` on a name that is not declared, and on NaN."""
         unknown = sorted(set(given) - set(self.options))
         if unknown:
             known = ", ".join(self.options) or "none"
             raise ValueError(f"unknown option {unknown[0]!r} (known: {known})")
+        if wrong := [name for name, value in given.items() if math.isnan(value)]:
+            raise ValueError(f"option {wrong[0]!r} is not a number")
         return np.array([float(given.get(name, o.default)) for name, o in self.options.items()])
 
     def law(self, given: Mapping[str, float]) -> int:

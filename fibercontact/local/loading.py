@@ -75,7 +75,9 @@ def resolved(
     given: dict[str, float] = {}
     try:
         for part in filter(None, text.split(",")):
-            option, _, value = part.partition("=")
+            option, value = part.partition("=")[::2]
+            if option.strip() in given:
+                raise ValueError(f"option {option.strip()!r} is given twice")
             given[option.strip()] = float(value)
         solver = known[name].solver
         return known[name], solver.option_values(given), solver.law(given)
@@ -156,13 +158,21 @@ def _load(path: Path, identifier: str, fingerprint: str) -> None:
 
 
 def with_neighbours(path: Path) -> list[Path]:
-    """The plugin and the modules beside it that it imports, at any depth."""
+    """The plugin and the modules beside it that it imports, at any depth.
+
+    Raises `SolverError` when it imports a package beside it: an edit in there would not be seen.
+    """
     seen, todo = [path], [path]
     while todo:
         for node in ast.walk(ast.parse(todo.pop().read_bytes())):
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            for file in (path.parent / f"{n.split('.')[0]}.py" for n in names):
+            for name in {n.split(".")[0] for n in names} - {"", __name__.split(".")[0]}:
+                file = path.parent / f"{name}.py"
+                if (path.parent / name / "__init__.py").is_file():
+                    raise SolverError(
+                        f"{path}: {name!r} beside it is a package: only modules can be beside a plugin"
+                    )
                 if file not in seen and file.is_file():
                     seen.append(file)
                     todo.append(file)

@@ -39,28 +39,28 @@ class Configured:
 
         Raises `SolverError` when the kernel does not compile to the signature of the contract.
         """
-        return self._compiled(self.registered.solver.kernel, KERNEL_SIGNATURE)
+        return self._compiled("kernel", KERNEL_SIGNATURE)
 
     def several(self) -> Any:
         """The compiled kernel for several contacts at once, None where the solver has none; raises `SolverError`."""
-        several = self.registered.solver.several
-        return several if several is None else self._compiled(several, SEVERAL_SIGNATURE)
+        return self.registered.solver.several and self._compiled("several", SEVERAL_SIGNATURE)
 
-    def _compiled(self, kernel: Any, signature: Any) -> Any:
+    def _compiled(self, name: str, signature: Any) -> Any:
+        kernel = getattr(self.registered.solver, name)
         if config.DISABLE_JIT:
             return kernel
+        place = f"{self.registered.origin}: the {name} of {self.label!r}"
         try:
             if not kernel.signatures:
                 kernel.compile(signature)
                 kernel.disable_compile()
         except AttributeError as error:
-            raise SolverError(
-                f"{self.registered.origin}: the kernel of {self.label!r} is not decorated with @jit"
-            ) from error
+            raise SolverError(f"{place} is not decorated with @jit") from error
         except NumbaError as error:
+            answer = "(status, r, iterations)" if name == "kernel" else "(done, r, iterations) on Lanes"
             raise SolverError(
-                f"{self.registered.origin}: the kernel of {self.label!r} does not compile to the signature "
-                f"(W, b, mu, r, options) -> (status, r, iterations): {_in_short(str(error))}"
+                f"{place} does not compile to the signature (W, b, mu, r, options) -> {answer}: "
+                f"{_in_short(str(error))}"
             ) from error
         return kernel
 

@@ -75,11 +75,7 @@ def peer_method(peer: Peer, order: Mapping[str, str], options: Mapping[str, Opti
     """The solver that the peer's desk finds by `order`; `options` are handed to it, beside those of `COMMON`."""
     declared = {**options, **COMMON}
     solve = partial(_solve, peer, dict(order), tuple(declared))
-    return GlobalMethod(solve, declared, prepare=partial(_prepare, peer))
-
-
-def _prepare(peer: Peer) -> None:
-    peer.find()
+    return GlobalMethod(solve, declared, prepare=peer.find)
 
 
 def _solve(

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from fibercontact.problem.measure import relative
 from fibercontact.problem.step import StepProblem
-from fibercontact.reference.conic import Problem, condensed
+from fibercontact.reference.conic import Problem
 
 __all__ = ["friction_work", "velocity_error"]
 
@@ -24,8 +24,7 @@ def velocity_error(problem: Problem, r: Array, r_ref: Array) -> float:
     if isinstance(problem, StepProblem):
         v, v_ref = problem.velocities(r), problem.velocities(r_ref)
         return relative(_norm(problem.M, v - v_ref), _norm(problem.M, v_ref))
-    W = condensed(problem).W
-    return relative(_norm(W, r - r_ref), _norm(W, r_ref))
+    return relative(_norm(problem.W, r - r_ref), _norm(problem.W, r_ref))
 
 
 def _norm(A: Any, x: Array) -> float:
