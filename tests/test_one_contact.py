@@ -120,6 +120,13 @@ def test_a_file_gives_back_what_it_was_given(tmp_path_factory, m, seed):
     assert read_counts(path) == {"visits": 10**12, "hard: pac": 0}
 
 
+def test_there_may_be_as_many_families_as_contacts(tmp_path):
+    c = contacts(1).select(np.zeros(33_000, dtype=int))
+    c = dataclasses.replace(c, family=np.arange(c.m).astype(str))
+    write(tmp_path / "set.h5", c)
+    same(read(tmp_path / "set.h5"), c)
+
+
 def test_the_same_set_gives_the_same_bytes(tmp_path):
     write(tmp_path / "a.h5", contacts())
     write(tmp_path / "b.h5", contacts())

@@ -108,6 +108,13 @@ def test_a_plugin_replaces_a_solver_of_its_name(tmp_path):
     assert registered([plugin(tmp_path, "secular.py")])["secular"].origin != "built in"
 
 
+def test_two_plugins_of_one_name_are_refused(tmp_path):
+    one, other = (plugin(tmp_path / folder) for folder in "ab")
+    assert registered([one, one])["constant"].origin == str(one)
+    with pytest.raises(SolverError, match=rf"^{other}: {one} is named 'constant', too$"):
+        registered([one, other])
+
+
 def test_fingerprints_follow_the_content(tmp_path):
     file = plugin(tmp_path)
     first = registered([file])["constant"].fingerprint

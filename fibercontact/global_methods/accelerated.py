@@ -67,12 +67,12 @@ def accelerated(p: Scaled, slip: Array, m: Accelerated, target: float, budget: i
 
 @jit
 def look(p: Scaled, slip: Array, m: Accelerated, target: float) -> bool:
-    """Measure the iterate and keep it if it is the best."""
+    """Measure the iterate and keep it if it is the best; NaN ends the iterations, too."""
     residual = cone_residual(p, slip, m.x, m.y)
     if residual < m.state[0]:
         m.state[0] = residual
         m.best[:] = m.x
-    return residual <= target
+    return not residual > target
 
 
 @jit

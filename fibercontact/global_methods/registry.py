@@ -21,7 +21,7 @@ from fibercontact.local.loading import (
     SolverError,
     built_in,
     installed,
-    plugin,
+    plugins,
     resolved,
 )
 from fibercontact.local.registry import Configured
@@ -78,7 +78,7 @@ def is_global(entry: AnyRegistered) -> bool:
     return isinstance(entry.solver, GlobalMethod)
 
 
-def registered(plugins: Sequence[Path] = ()) -> dict[str, AnyRegistered]:
+def registered(files: Sequence[Path] = ()) -> dict[str, AnyRegistered]:
     """Every solver that can be had, by name; raises `SolverError` when a plugin does not load.
 
     A plugin is a file with a `LocalSolver` or a `GlobalMethod`.
@@ -89,10 +89,7 @@ def registered(plugins: Sequence[Path] = ()) -> dict[str, AnyRegistered]:
         found[entry.name] = entry
     for point in entry_points(group=ENTRY_POINTS):
         found[point.name] = installed(point, (GlobalMethod,))
-    for path in plugins:
-        entry = plugin(path, (LocalSolver, GlobalMethod))
-        found[entry.name] = entry
-    return found
+    return found | plugins(files, (LocalSolver, GlobalMethod))
 
 
 def configure(specification: str, known: Mapping[str, AnyRegistered]) -> AnyConfigured:

@@ -71,7 +71,10 @@ def spectral(p: Scaled, slip: Array, m: Spectral, target: float, budget: int) ->
 
 @jit
 def look(p: Scaled, slip: Array, m: Spectral, target: float) -> bool:
-    """Measure the iterate and keep it if it is the best; a residual that meets the target is confirmed."""
+    """Measure the iterate and keep it if it is the best; a residual that meets the target is confirmed.
+
+    NaN ends the iterations, too.
+    """
     residual = cone_residual(p, slip, m.x, m.y)
     if residual <= target:
         velocity(p.A, m.x, m.y)
@@ -79,7 +82,7 @@ def look(p: Scaled, slip: Array, m: Spectral, target: float) -> bool:
     if residual < m.state[0]:
         m.state[0] = residual
         m.best[:] = m.x
-    return residual <= target
+    return not residual > target
 
 
 @jit

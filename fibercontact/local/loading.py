@@ -31,7 +31,7 @@ __all__ = [
     "SolverError",
     "built_in",
     "installed",
-    "plugin",
+    "plugins",
     "resolved",
     "with_neighbours",
 ]
@@ -107,6 +107,16 @@ def installed(point: Any, kinds: Kinds) -> Registered[Any]:
     if isinstance(thing, ModuleType):
         return _registered(point.name, thing, origin, fingerprint, kinds)
     return Registered(point.name, thing, origin, module.__doc__ or "", fingerprint)
+
+
+def plugins(paths: Iterable[Path], kinds: Kinds) -> dict[str, Registered[Any]]:
+    """Load plugin files; raises `SolverError` when two of them have one name."""
+    found: dict[str, Registered[Any]] = {}
+    for path in paths:
+        entry = plugin(path, kinds)
+        if found.setdefault(entry.name, entry).origin != entry.origin:
+            raise SolverError(f"{path}: {found[entry.name].origin} is named {entry.name!r}, too")
+    return found
 
 
 def plugin(path: Path, kinds: Kinds) -> Registered[Any]:

@@ -136,7 +136,7 @@ def write(
         write_array(file, "W", np.ascontiguousarray(contacts.W[:, rows, columns]))
         for name in ("b", "mu", "start", "answer"):
             write_array(file, name, getattr(contacts, name))
-        write_array(file, "family", index.astype(np.int16))
+        write_array(file, "family", index.astype(np.int16 if len(families) <= 2**15 else np.int32))
         write_array(file, "families", np.char.encode(families, "utf-8"))
         for name, count in (counts or {}).items():
             file.attrs[name] = int(count)

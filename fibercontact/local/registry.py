@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fibercontact.local import methods
 from fibercontact.local.contract import KERNEL_SIGNATURE, SEVERAL_SIGNATURE, LocalSolver
-from fibercontact.local.loading import Registered, SolverError, built_in, installed, plugin, resolved
+from fibercontact.local.loading import Registered, SolverError, built_in, installed, plugins, resolved
 
 __all__ = [
     "ENTRY_POINTS", "SOURCES", "Configured", "Registered", "SolverError", "configure", "offered", "registered"
@@ -84,9 +84,9 @@ def _in_short(error: str) -> str:
     return " ".join([*told[:2], *(f"({file}, {line})" for file, line in place[-1:])])
 
 
-def registered(plugins: Sequence[Path] = ()) -> dict[str, Registered[LocalSolver]]:
-    """Every local solver that can be had, by name; raises `SolverError` when a plugin does not load."""
-    return offered() | {entry.name: entry for entry in (plugin(path, (LocalSolver,)) for path in plugins)}
+def registered(files: Sequence[Path] = ()) -> dict[str, Registered[LocalSolver]]:
+    """Every local solver that can be had, by name; raises `SolverError` when a plugin file does not load."""
+    return offered() | plugins(files, (LocalSolver,))
 
 
 def offered() -> dict[str, Registered[LocalSolver]]:
