@@ -188,7 +188,7 @@ def test_a_margin_divides_the_tolerance_that_a_peer_gets(fake, margin, asked):
     np.testing.assert_allclose(ask(peer, scaled=0, margin=margin).r, asked, rtol=1e-14)
 
 
-@pytest.mark.parametrize("margin", [0.0, -1.0, math.nan])
+@pytest.mark.parametrize("margin", [0.0, -1.0])
 def test_a_margin_must_be_positive(fake, margin):
     with pytest.raises(UserError, match="margin must be positive"):
         ask(fake(), margin=margin)
