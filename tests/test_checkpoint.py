@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from fibercontact.cli import app
 from fibercontact.simulation.checkpoint import CHECKPOINT, CheckpointError, load_checkpoint, save_checkpoint
+from fibercontact.simulation.scene import Air
 from fibercontact.simulation.scenes import Parameters, build
 from fibercontact.simulation.step import simulate, start, take_step
 
@@ -165,6 +166,7 @@ def test_a_checkpoint_that_cannot_be_used_is_named_with_its_fault(fault, message
         (build("wisp-straight-19-mu0.3"), "a checkpoint of the scene 'twist-mixed-16-mu0.4', not of 'wisp-"),
         (replace(scene_of("helix"), mu_obstacles=0.9), "is not what it was"),
         (replace(scene_of("helix"), gravity=lambda time: np.zeros(3)), "is not what it was"),
+        (replace(scene_of("helix"), air=Air(1e-3, 5e-4)), "is not what it was"),
     ],
 )
 def test_a_checkpoint_of_another_scene_is_refused(other, message, tmp_path):
@@ -172,6 +174,15 @@ def test_a_checkpoint_of_another_scene_is_refused(other, message, tmp_path):
     broken_off(scene, file)
     with pytest.raises(CheckpointError, match=message):
         load_checkpoint(file, other)
+
+
+def test_another_wind_is_another_scene(tmp_path):
+    file, calm = tmp_path / "checkpoint.h5", replace(scene_of("helix"), air=Air(1e-3, 5e-4))
+    windy = replace(calm, air=replace(calm.air, wind=lambda time: np.array([1.0, 0.0, 0.0])))
+    save_checkpoint(file, calm, 0, start(calm))
+    assert load_checkpoint(file, calm)[0] == 1
+    with pytest.raises(CheckpointError, match="is not what it was"):
+        load_checkpoint(file, windy)
 
 
 def test_more_steps_are_the_same_scene(tmp_path):

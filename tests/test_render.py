@@ -25,6 +25,7 @@ from fibercontact.local.registry import configure, registered
 from fibercontact.problem.fclib import Solution, write
 from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.rods.model import circular_rods, rest_state
+from fibercontact.simulation.penalty import penalty_for
 from fibercontact.simulation.pictures import animation
 from fibercontact.simulation.pictures.animation import AnimationError, images, write_gif, write_mp4
 from fibercontact.simulation.pictures.camera import framed, view_axes
@@ -32,8 +33,8 @@ from fibercontact.simulation.pictures.page import write_page
 from fibercontact.simulation.pictures.problem import answered, problem_figure, problem_page
 from fibercontact.simulation.pictures.raster import Raster
 from fibercontact.simulation.pictures.scene_page import scene_page, tubes
-from fibercontact.simulation.pictures.shown import REGIMES, Shown, force_scale, regimes, show
-from fibercontact.simulation.pictures.still import caption, draw, draw_shown, pixels
+from fibercontact.simulation.pictures.shown import REGIMES, Shown, force_scale, held, regimes, show
+from fibercontact.simulation.pictures.still import _round_number, caption, draw, draw_shown, pixels
 from fibercontact.simulation.pictures.surfaces import seen_surface
 from fibercontact.simulation.scene import Body, Scene
 from fibercontact.simulation.scenes import Parameters, build
@@ -117,6 +118,22 @@ def test_the_window_holds_the_points_and_its_sides_are_even(angles, size):
     assert (place < [camera.width, camera.height]).all()
     assert max(camera.width, camera.height) == pytest.approx(size, abs=2)
     assert camera.width % 2 == camera.height % 2 == 0
+
+
+BALL = Sphere(np.array([0.1, 0.2, 0.3]), 0.1)
+ROLLER = Cylinder(np.array([0.1, 0.2, 0.3]), np.array([1.0, 2.0, 3.0]), 0.1, 0.1)
+
+
+@given(ANGLES, st.sampled_from([BALL, ROLLER]))
+def test_the_window_holds_obstacles_that_end_somewhere(angles, obstacle):
+    """By the outlines of balls, which are circles from everywhere."""
+    camera = framed(view_axes(*angles), held(shown([[[0, 0, 0], [0, 0, 0.01]]], obstacles=[obstacle])), 300)
+    ends = [0.0] if obstacle is BALL else [-0.05, 0.05]
+    for end in ends:
+        middle = obstacle.point if obstacle is BALL else obstacle.point + end * obstacle.axis
+        place, reach = camera.project(middle[None])[0], 0.1 * camera.scale
+        assert (place > reach).all()
+        assert (place < np.array([camera.width, camera.height]) - reach).all()
 
 
 def test_upwards_is_up_and_the_nearer_is_nearer_to_the_eye():
@@ -299,6 +316,26 @@ def test_a_still_shows_every_regime_that_there_is(scene, steps, tmp_path):
     assert share_of(REGIMES[SLIP].colour, other[:-70]) > 5
 
 
+@given(st.integers(-12, 12), st.integers(-2, 2), st.floats(1.0, 10.0))
+def test_a_scale_bar_is_a_round_number_as_long_as_fits(power, ulps, share):
+    for most in (share * 10.0**power, 10.0**power * (1.0 + ulps * 2.0**-52)):
+        length = _round_number(most)
+        assert length <= most < 2.51 * length
+        assert f"{length:e}"[0] in "125"
+        assert length == pytest.approx(float(f"{length:.0e}"), rel=1e-12)
+
+
+def test_penalty_contacts_are_shown_to_slide_or_not_to_touch(tmp_path):
+    """Where nothing pushes there is take-off; its friction has no stick."""
+    scene = replace(incline(0.2, 0.5), dt=2e-4, steps=30)
+    *_, last = simulate(scene, penalty=penalty_for(scene))
+    drawn, pushed = show(scene, last), last.world.impulses.any(axis=1)
+    assert pushed.any()
+    np.testing.assert_array_equal(drawn.regime, np.where(pushed, SLIP, OPEN))
+    np.testing.assert_allclose(drawn.force, last.world.impulses / scene.dt)
+    draw(scene, last, tmp_path / "a.png", size=120)
+
+
 def test_names_are_no_formulae(scene, steps):
     """A dollar sign in the name of a scene begins no mathematics."""
     frame = show(scene, steps[-1])
@@ -478,6 +515,23 @@ def test_a_failure_of_the_encoder_is_told(tmp_path, encoder):
     encoder.write_text("#!/bin/sh\ncat > /dev/null\necho no such codec >&2\nexit 1\n")
     with pytest.raises(AnimationError, match=r"a\.mp4: ffmpeg failed: no such codec"):
         write_mp4(tmp_path / "a.mp4", PICTURES, 20.0)
+
+
+def broken(pictures):
+    yield from pictures
+    raise OSError("no picture")
+
+
+def test_a_film_that_is_not_finished_leaves_the_old_one(tmp_path, encoder):
+    film = tmp_path / "a.mp4"
+    film.write_bytes(b"old")
+    with pytest.raises(OSError, match="no picture"):
+        write_mp4(film, broken(PICTURES), 20.0)
+    encoder.write_text(encoder.read_text().replace("exec cat", "cat") + "exit 1\n")
+    with pytest.raises(AnimationError, match=r"a\.mp4: ffmpeg failed: no reason given"):
+        write_mp4(film, PICTURES, 20.0)
+    assert film.read_bytes() == b"old"
+    assert sorted(tmp_path.iterdir()) == [film, encoder.parent]
 
 
 def test_without_ffmpeg_one_is_told_how_to_get_it(monkeypatch):

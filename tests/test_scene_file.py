@@ -56,6 +56,16 @@ def test_the_template_runs_with_any_rods(tmp_path, model):
         assert np.isfinite(rod_model(scene.rods).centreline(step.world.state, 5)).all()
 
 
+def test_only_what_follows_the_file_names_rods(tmp_path):
+    """Folders and files may have an @ in their names."""
+    folder = tmp_path / "me@home.py"
+    folder.mkdir()
+    for name in ("my_wisp.toml", "my@wisp.toml"):
+        file = written(folder, TEMPLATE, name)
+        assert not isinstance(open_scene(file).rods, DiscreteRods)
+        assert isinstance(open_scene(f"{file}@discrete").rods, DiscreteRods)
+
+
 def test_a_short_file_has_the_documented_defaults(tmp_path):
     scene = open_scene(least(tmp_path))
     assert (scene.name, scene.dt, scene.steps, scene.skip_root) == ("scene", 1e-3, 3, 0.0)

@@ -183,7 +183,6 @@ def test_the_large_set_is_24_problems_of_helices_and_clothoids():
     assert {p.model for p in large.scenes} == {"helix", "clothoid"}
     assert max(p.fibres for p in large.scenes) == 4000
     assert len({p.seed for p in large.scenes}) > 4
-    assert len({build(p).name for p in large.scenes}) == len(large.scenes)
 
 
 @pytest.mark.parametrize("name", HEADS)
@@ -209,6 +208,13 @@ def test_evenly_spaced_steps(count, eligible):
         assert gaps.max() - gaps.min() <= 1
 
 
+@pytest.mark.parametrize("problems", corpus.SETS.values(), ids=corpus.SETS)
+def test_the_scenes_of_every_set_have_names_that_build_them(problems, monkeypatch):
+    for kind in KINDS:
+        monkeypatch.setitem(KINDS, kind, lambda p, rng: p)
+    assert [build(p.name) for p in problems.scenes] == list(problems.scenes)
+
+
 def test_dumped_problems_are_those_of_the_steps(tmp_path):
     scene = replace(build(Parameters("wisp", 8, "curly", 0.3, 0.3, 1)), steps=40)
     rows = corpus.dump_scene(scene, tmp_path, count=3, fewest=5, most=500)
@@ -231,25 +237,32 @@ def test_too_few_eligible_steps_is_an_error(tmp_path):
         corpus.dump_scene(scene, tmp_path)
 
 
-def test_a_set_is_written_scene_by_scene_with_one_manifest(tmp_path):
-    scenes = [Parameters("wisp", 7, "curly", mu, mu, 1) for mu in (0.1, 0.7)]
-    problems = corpus.ProblemSet("small", scenes, per_scene=2, fewest=1, most=500)
-    written = dict(corpus.dump_set(problems, tmp_path))
-    assert list(written) == [build(p).name for p in scenes]
+SMALL = corpus.ProblemSet(
+    "small", [Parameters("wisp", 7, "curly", mu, mu, 1) for mu in (0.1, 0.7)], per_scene=2, fewest=1, most=500
+)
+
+
+@pytest.fixture
+def short(monkeypatch):
+    """Scenes end before most of their steps."""
+    monkeypatch.setattr(corpus, "build", lambda p: replace(build(p), steps=30))
+
+
+def test_a_set_is_written_scene_by_scene_with_one_manifest(tmp_path, short):
+    written = dict(corpus.dump_set(SMALL, tmp_path))
+    assert list(written) == [p.name for p in SMALL.scenes]
     with (tmp_path / "manifest.csv").open() as stream:
         files = [row["file"] for row in csv.DictReader(stream)]
     assert files == [row["file"] for rows in written.values() for row in rows]
     assert len(files) == len(set(files)) == 4
 
 
-def test_a_set_that_was_interrupted_goes_on_with_the_next_scene(tmp_path):
-    scenes = [Parameters("wisp", 7, "curly", mu, mu, 1) for mu in (0.1, 0.7)]
-    problems = corpus.ProblemSet("small", scenes, per_scene=2, fewest=1, most=500)
+def test_a_set_that_was_interrupted_goes_on_with_the_next_scene(tmp_path, short):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    dict(corpus.dump_set(problems, whole))
-    next(corpus.dump_set(problems, parts))
+    dict(corpus.dump_set(SMALL, whole))
+    next(corpus.dump_set(SMALL, parts))
     assert not (parts / "manifest.csv").exists()
-    assert [name for name, _ in corpus.dump_set(problems, parts)] == [build(scenes[1]).name]
+    assert [name for name, _ in corpus.dump_set(SMALL, parts)] == [SMALL.scenes[1].name]
     assert {f.name: f.read_bytes() for f in parts.iterdir()} == {
         f.name: f.read_bytes() for f in whole.iterdir()
     }
@@ -276,7 +289,7 @@ def test_committed_sets_keep_their_rule(problems):
         pytest.skip("a set that is made, not kept")
     entries = load_set(folder)  # compares every hash
     scenes = Counter(entry.scene for entry in entries)
-    assert scenes == dict.fromkeys((build(p).name for p in problems.scenes), problems.per_scene)
+    assert scenes == dict.fromkeys((p.name for p in problems.scenes), problems.per_scene)
     with (folder / "manifest.csv").open() as stream:
         contacts = [int(row["contacts"]) for row in csv.DictReader(stream)]
     assert problems.fewest <= min(contacts) <= max(contacts) <= problems.most

@@ -158,9 +158,9 @@ def _say_problems(folder: Path) -> None:
 
 
 def _list_scenes() -> None:
-    from fibercontact.simulation.scenes import HEADS, KINDS, SCENES
+    from fibercontact.simulation.scenes import KINDS, NAMED
 
-    for name, parameters in {**SCENES, **HEADS}.items():
+    for name, parameters in NAMED.items():
         documentation = (KINDS[parameters.kind].__doc__ or "").strip()
         typer.echo(f"{name:<34}{documentation}")
 

@@ -84,7 +84,10 @@ def _text(content: h5py.File, name: str) -> str:
 def _fingerprint(scene: Scene) -> str:
     """Hash of all that makes a scene, but for the number of its steps; of functions, values at some times."""
     times = scene.dt * 2.0 ** np.arange(11)
-    driven = [[scene.gravity(t), *(body.motion(t) for body in scene.bodies)] for t in times]
+    driven = [
+        [scene.gravity(t), *(body.motion(t) for body in scene.bodies), scene.air and scene.air.wind(t)]
+        for t in times
+    ]
     digest = hashlib.sha256()
     for name, values in _leaves([replace(scene, steps=1), driven]):
         digest.update(f"{name} {values.dtype} {values.shape}\n".encode() + values.tobytes())

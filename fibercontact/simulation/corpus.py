@@ -9,6 +9,7 @@ import csv
 import hashlib
 import io
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,7 +22,7 @@ from fibercontact.problem.fclib import Solution, write
 from fibercontact.problem.step import StepProblem
 from fibercontact.rods.interface import rod_model
 from fibercontact.simulation.scene import Scene, SceneError
-from fibercontact.simulation.scenes import HEADS, SCENES, Parameters, build
+from fibercontact.simulation.scenes import COMPARED, HEADS, SCENES, Parameters, build
 from fibercontact.simulation.step import Step, World, simulate, start
 from fibercontact.simulation.strands import MODELS
 
@@ -53,16 +54,11 @@ CORE = ProblemSet("core306", tuple(SCENES.values()), per_scene=17, fewest=20, mo
 
 RODS = ProblemSet(
     "rods102",
-    tuple(
-        Parameters(*scene, model=model)
-        for model in MODELS
-        for scene in (("twist", 40, "mixed", 0.5, 0.5, 21), ("cylinder", 36, "curly", 0.3, 0.3, 22))
-    ),
+    tuple(replace(scene, model=model) for model in MODELS for scene in COMPARED.values()),
     per_scene=17,
     fewest=20,
     most=3000,
 )
-"""The same two scenes, one of clamped and one of free fibres, with each of the three rod models."""
 
 LARGE = ProblemSet("large", tuple(HEADS.values()), per_scene=4, fewest=3000, most=30_000)
 """From heads of up to four thousand fibres: some 250 MB and half an hour, so made where it is wanted."""

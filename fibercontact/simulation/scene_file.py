@@ -2,6 +2,7 @@
 
 import difflib
 import math
+import re
 import runpy
 import tomllib
 from dataclasses import replace
@@ -35,7 +36,6 @@ from fibercontact.simulation.strands import (
 __all__ = ["open_scene"]
 
 Array = NDArray[np.float64]
-SUFFIXES = (".toml", ".py")
 
 
 def open_scene(name: str) -> Scene:
@@ -44,10 +44,9 @@ def open_scene(name: str) -> Scene:
     A Python file has a function `scene()` that returns a `Scene`, and chooses its own rods. Raises `SceneError`
     naming the file and the key that is wrong, or saying which bodies overlap at the start.
     """
-    base, _, model = (name, "", "") if Path(name).suffix in SUFFIXES else name.partition("@")
-    file = Path(base)
-    if file.suffix not in SUFFIXES:
+    if not (found := re.fullmatch(r"(.+\.(?:toml|py))(?:@([^@/]*))?", name)):
         return build(name)
+    file, model = Path(found[1]), found[2] or ""
     if not file.is_file():
         raise SceneError(f"{file}: no such file")
     scene = _from_toml(file, model) if file.suffix == ".toml" else _from_python(file, model)

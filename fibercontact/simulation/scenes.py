@@ -27,7 +27,7 @@ from fibercontact.simulation.strands import (
     turned_frames,
 )
 
-__all__ = ["HEADS", "KINDS", "SCENES", "Parameters", "build"]
+__all__ = ["COMPARED", "HEADS", "KINDS", "NAMED", "SCENES", "Parameters", "build"]
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,13 @@ class Parameters:
     mu: float  # between fibres
     mu_obstacles: float
     seed: int
-    model: str = "helix"  # of the rods, see MODELS
+    model: str = "helix"  # of the rods, one of `strands.MODELS`
+
+    @property
+    def name(self) -> str:
+        """Its name, without the seed."""
+        suffix = "" if self.model == "helix" else f"@{self.model}"
+        return f"{self.kind}-{self.curl}-{self.fibres}-mu{self.mu:g}{suffix}"
 
 
 def _rods(p: Parameters, length: float, rng: np.random.Generator, free: bool = False) -> Rods:
@@ -83,25 +89,20 @@ def wisp(p: Parameters, rng: np.random.Generator) -> Scene:
         tilt = math.radians(70.0) if time < 0.3 else 0.0
         return 9.81 * np.array([math.sin(tilt), 0.0, -math.cos(tilt)])
 
-    return _scene(p, wisp, rods, roots, frames, [Body(np.zeros(3))], dt=4e-3, steps=200, gravity=gravity)
+    return _scene(p, rods, roots, frames, [Body(np.zeros(3))], dt=4e-3, steps=200, gravity=gravity)
 
 
 def head(p: Parameters, rng: np.random.Generator) -> Scene:
     """Hair on the upper part of a sphere that is shaken sideways and nods."""
-    return _hair(p, rng, head, 0.05)
+    return _hair(p, rng, 0.05)
 
 
 def scalp(p: Parameters, rng: np.random.Generator) -> Scene:
     """Hair on a head of full size, for up to thousands of fibres, that is shaken sideways and nods."""
-    return _hair(p, rng, scalp, 0.1)
+    return _hair(p, rng, 0.1)
 
 
-def _hair(
-    p: Parameters,
-    rng: np.random.Generator,
-    kind: Callable[[Parameters, np.random.Generator], Scene],
-    radius: float,
-) -> Scene:
+def _hair(p: Parameters, rng: np.random.Generator, radius: float) -> Scene:
     normals = cap(p.fibres)
     rods = _rods(p, 0.18, rng)
 
@@ -112,7 +113,7 @@ def _hair(
 
     body = Body(np.zeros(3), shake, [Sphere(np.zeros(3), radius)])
     frames = turned_frames(normals + 0.1 * rng.standard_normal(normals.shape), rng)
-    return _scene(p, kind, rods, radius * normals, frames, [body], dt=4e-3, steps=200, skip_root=4e-3)
+    return _scene(p, rods, radius * normals, frames, [body], dt=4e-3, steps=200, skip_root=4e-3)
 
 
 def _dropped(p: Parameters, rng: np.random.Generator, spread: float, low: float) -> tuple[Rods, Array, Array]:
@@ -126,7 +127,7 @@ def plane(p: Parameters, rng: np.random.Generator) -> Scene:
     """Free fibres falling on a plane, where they pile up."""
     rods, roots, frames = _dropped(p, rng, 0.02, 5e-3)
     body = Body(np.zeros(3), obstacles=[Plane(np.zeros(3), np.array([0.0, 0.0, 1.0]))])
-    return _scene(p, plane, rods, roots, frames, [body], dt=1e-3, steps=480)
+    return _scene(p, rods, roots, frames, [body], dt=1e-3, steps=480)
 
 
 def cylinder(p: Parameters, rng: np.random.Generator) -> Scene:
@@ -137,7 +138,7 @@ def cylinder(p: Parameters, rng: np.random.Generator) -> Scene:
         lambda time: Motion(np.zeros(3), np.array([0.0, 2.0, 0.0])),
         [Cylinder(np.zeros(3), np.array([0.0, 1.0, 0.0]), 0.025)],
     )
-    return _scene(p, cylinder, rods, roots, frames, [body], dt=1e-3, steps=480)
+    return _scene(p, rods, roots, frames, [body], dt=1e-3, steps=480)
 
 
 def twist(p: Parameters, rng: np.random.Generator) -> Scene:
@@ -152,7 +153,7 @@ def twist(p: Parameters, rng: np.random.Generator) -> Scene:
     body = Body(
         np.zeros(3), lambda time: Motion(np.zeros(3), np.array([0.0, 0.0, 6.0 * min(1.0, time / 0.1)]))
     )
-    return _scene(p, twist, _rods(p, 0.14, rng), roots, frames, [body], dt=4e-3, steps=250)
+    return _scene(p, _rods(p, 0.14, rng), roots, frames, [body], dt=4e-3, steps=250)
 
 
 def comb(p: Parameters, rng: np.random.Generator) -> Scene:
@@ -171,12 +172,11 @@ def comb(p: Parameters, rng: np.random.Generator) -> Scene:
         return Motion(np.array([0.0, 0.15, 0.0] if time < inserted else [0.0, 0.0, -0.15]), np.zeros(3))
 
     bodies = [Body(np.zeros(3)), Body(np.zeros(3), draw, cylinders)]
-    return _scene(p, comb, _rods(p, 0.15, rng), roots, frames, bodies, dt=4e-3, steps=250)
+    return _scene(p, _rods(p, 0.15, rng), roots, frames, bodies, dt=4e-3, steps=250)
 
 
 def _scene(
     p: Parameters,
-    kind: Callable[[Parameters, np.random.Generator], Scene],
     rods: Rods,
     roots: Array,
     frames: Array,
@@ -188,8 +188,8 @@ def _scene(
 ) -> Scene:
     modelled, state = begin(p.model, rods, roots, frames)
     return Scene(
-        name=_name(p),
-        description=(kind.__doc__ or "").strip(),
+        name=p.name,
+        description=(KINDS[p.kind].__doc__ or "").strip(),
         rods=modelled,
         state=state,
         bodies=bodies,
@@ -201,11 +201,6 @@ def _scene(
         gravity=gravity,
         skip_root=0.0 if rods.free else skip_root,
     )
-
-
-def _name(p: Parameters) -> str:
-    suffix = "" if p.model == "helix" else f"@{p.model}"
-    return f"{p.kind}-{p.curl}-{p.fibres}-mu{p.mu:g}{suffix}"
 
 
 KINDS: Mapping[str, Callable[[Parameters, np.random.Generator], Scene]] = {
@@ -233,9 +228,16 @@ _RUNS = (
     Parameters("comb", 91, "curly", 1.0, 0.5, 18),
 )
 
-SCENES: Mapping[str, Parameters] = {_name(p): p for p in _RUNS}
+SCENES: Mapping[str, Parameters] = {p.name: p for p in _RUNS}
 """The scenes by name: three of each kind."""
 
+_COMPARED = (
+    Parameters("twist", 40, "mixed", 0.5, 0.5, 21),
+    Parameters("cylinder", 36, "curly", 0.3, 0.3, 22),
+)
+
+COMPARED: Mapping[str, Parameters] = {p.name: p for p in _COMPARED}
+"""One scene of clamped and one of free fibres, by name, to be run with each of the three rod models."""
 
 _HEADS = (
     Parameters("scalp", 2000, "mixed", 0.3, 0.3, 31),
@@ -246,8 +248,11 @@ _HEADS = (
     Parameters("scalp", 1000, "straight", 0.8, 0.8, 36, "clothoid"),
 )
 
-HEADS: Mapping[str, Parameters] = {_name(p): p for p in _HEADS}
+HEADS: Mapping[str, Parameters] = {p.name: p for p in _HEADS}
 """Heads of hair of full size by name, with 3000 contacts and more."""
+
+NAMED: Mapping[str, Parameters] = {**SCENES, **COMPARED, **HEADS}
+"""All that have a name."""
 
 
 def build(scene: str | Parameters) -> Scene:
@@ -257,9 +262,9 @@ def build(scene: str | Parameters) -> Scene:
     """
     if isinstance(scene, str):
         name, _, model = scene.partition("@")
-        known = {key.partition("@")[0]: p for key, p in {**HEADS, **SCENES}.items()}
+        known = {key.partition("@")[0]: p for key, p in NAMED.items()}
         if name not in known:
-            raise SceneError(f"unknown scene {name!r} (known: {', '.join(SCENES)}, {', '.join(HEADS)})")
+            raise SceneError(f"unknown scene {name!r} (known: {', '.join(NAMED)})")
         scene = replace(known[name], model=model or "helix")
     if scene.kind not in KINDS:
         raise SceneError(f"unknown kind of scene {scene.kind!r} (known: {', '.join(KINDS)})")

@@ -82,6 +82,7 @@ def level(
 def turned_frames(tangents: Array, rng: np.random.Generator) -> Array:
     """Frames (R, 3, 3) with the given tangents (R, 3) and a random turn about them."""
     frames = np.empty((len(tangents), 3, 3))
+    # One by one: all at once they differ in the last digit, and with them the problems of the sets.
     for frame, tangent in zip(frames, tangents, strict=True):
         t = tangent / np.linalg.norm(tangent)
         across = np.cross(t, np.eye(3)[np.argmin(np.abs(t))])

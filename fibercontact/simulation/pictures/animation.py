@@ -4,6 +4,7 @@ import importlib.util
 import shutil
 import subprocess
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -88,26 +89,33 @@ def _palette(image: Image.Image) -> Image.Image:
 
 
 def write_mp4(file: Path, pictures: Iterable[Picture], fps: float) -> int:
-    """Write pictures as an MP4; returns how many. Ctrl-C ends it after those that are drawn."""
-    program, count = ffmpeg(), 0
-    process: subprocess.Popen[bytes] | None = None
+    """Write pictures as an MP4; returns how many. Ctrl-C ends it after those that are drawn.
+
+    Raises `AnimationError` without ffmpeg, or with what it says when it fails.
+    """
+    program, left = ffmpeg(), iter(pictures)
+    first = next(left)
+    with replacing(file) as draft, _encoder(program, draft, first.shape, fps) as process:
+        count = _feed(process, chain([first], left))
+        _, said = process.communicate()
+        if process.returncode:
+            why = said.decode(errors="replace").strip() or "no reason given"
+            raise AnimationError(f"{file}: ffmpeg failed: {why}")
+    return count
+
+
+def _feed(process: "subprocess.Popen[bytes]", pictures: Iterable[Picture]) -> int:
+    """Give an encoder pictures until they end, or Ctrl-C does it; returns how many."""
+    assert process.stdin is not None
+    count = 0
     try:
         for picture in pictures:
-            process = process or _encoder(program, file, picture.shape, fps)
-            assert process.stdin is not None
             process.stdin.write(picture.tobytes())
             count += 1
     except KeyboardInterrupt:
-        if process is None:
-            raise
+        pass
     except BrokenPipeError:
         pass  # the encoder has ended, and says why
-    assert process is not None
-    _, said = process.communicate()
-    if process.returncode:
-        raise AnimationError(
-            f"{file}: ffmpeg failed: {said.decode(errors='replace').strip() or 'no reason given'}"
-        )
     return count
 
 

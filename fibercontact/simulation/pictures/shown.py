@@ -14,6 +14,7 @@ from fibercontact.local.algebra import OPEN, SLIP, STICK
 from fibercontact.rods.interface import AnyRods, rod_model
 from fibercontact.simulation.scene import Scene
 from fibercontact.simulation.step import Step
+from fibercontact.simulation.strands import cap
 
 __all__ = ["REGIMES", "Regime", "Shown", "contact_points", "force_scale", "held", "regimes", "show"]
 
@@ -21,6 +22,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 POINTS = 60  # segments of a fibre, unless its model has its own
+ROUND = 1000  # points on a sphere
 LONGEST = 0.08  # of the picture: a force that hardly any exceeds
 HARDLY_ANY = 98.0  # per cent of the forces that are weaker
 
@@ -72,9 +74,11 @@ def show(scene: Scene, step: Step) -> Shown:
     world, contacts = step.world, step.contacts
     fibres = rod_model(scene.rods).centreline(world.state, POINTS)
     radius = np.broadcast_to(np.asarray(scene.rods.radius, dtype=float), (len(fibres),))
-    regime, force = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
-    if step.run is not None and step.problem is not None and world.impulses is not None:
-        regime, force = regimes(step.run.r, step.problem.mu), world.impulses / scene.dt
+    assert world.impulses is not None
+    if step.run is None or step.problem is None:  # penalty's friction always slides
+        regime = np.where(world.impulses.any(axis=1), SLIP, OPEN)
+    else:
+        regime = regimes(step.run.r, step.problem.mu)
     return Shown(
         index=step.index,
         time=world.time,
@@ -83,7 +87,7 @@ def show(scene: Scene, step: Step) -> Shown:
         obstacles=[obstacle for body in world.bodies for obstacle in body.obstacles],
         points=contact_points(fibres, scene.rods, contacts),
         regime=regime,
-        force=force,
+        force=world.impulses / scene.dt,
     )
 
 
@@ -110,16 +114,18 @@ def _at(fibres: Array, length: Array, rod: Ints, s: Array) -> Array:
 
 def held(shown: Shown) -> list[Array]:
     """Groups of points (m, 3) that a picture must hold: the fibres, and the obstacles that end somewhere."""
-    boxes = [_box(obstacle) for obstacle in shown.obstacles]
-    return [shown.fibres.reshape(-1, 3), *(box for box in boxes if len(box))]
+    surfaces = [_surface(obstacle) for obstacle in shown.obstacles]
+    return [shown.fibres.reshape(-1, 3), *(points for points in surfaces if len(points))]
 
 
-def _box(obstacle: Obstacle) -> Array:
-    """Points on the outside of an obstacle, none where it has no end."""
+def _surface(obstacle: Obstacle) -> Array:
+    """Points all over the outside of an obstacle, none where it has no end."""
     if isinstance(obstacle, Sphere):
-        return obstacle.point + obstacle.radius * np.concatenate([np.eye(3), -np.eye(3)])
+        return obstacle.point + obstacle.radius * cap(ROUND, share=2.0)
     if isinstance(obstacle, Cylinder) and np.isfinite(obstacle.length):
-        return obstacle.point + 0.5 * obstacle.length * np.array([[-1.0], [1.0]]) * obstacle.axis
+        half = 0.5 * obstacle.length * obstacle.axis
+        balls = obstacle.radius * cap(ROUND, share=2.0) + np.stack([-half, half])[:, None]
+        return obstacle.point + balls.reshape(-1, 3)
     return np.empty((0, 3))
 
 

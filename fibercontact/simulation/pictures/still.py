@@ -121,7 +121,7 @@ def _legend(axes: Axes, shown: Shown, camera: Camera, newton: float, letter: flo
 def _round_number(most: float) -> float:
     """The largest of 1, 2, 5, 10 … that is not above `most`."""
     power = 10.0 ** np.floor(np.log10(most))
-    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= most))
+    return float(max(step * power for step in (0.5, 1.0, 2.0, 5.0) if step * power <= most))
 
 
 def _quantity(value: float, unit: str) -> str:
