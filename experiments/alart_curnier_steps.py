@@ -7,13 +7,14 @@ answer whose natural-map residual exceeds 1e-6 |b|. Writes a figure and a table.
     python experiments/alart_curnier_steps.py [--problems 20000] [--out results/alart_curnier_steps]
 """
 
-import argparse
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from common.script import options, write_table
 from matplotlib.figure import Figure
 
+from fibercontact.bench.figures import save
 from fibercontact.local.algebra import law_residual
 from fibercontact.local.contract import Status
 from fibercontact.local.registry import configure, registered
@@ -46,20 +47,16 @@ def failure_percent(specification: str, problems: list[tuple]) -> float:
     return 100.0 * failures / len(problems)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--problems", type=int, default=20_000)
-    parser.add_argument("--out", type=Path, default=Path("results/alart_curnier_steps"))
-    given = parser.parse_args()
-    problems = contacts(given.problems, 1)
+def measure(problems: list[tuple]) -> pd.DataFrame:
     rows = [
         {"solver": solver, "disc": disc, "rho": rho, "failure_percent": failure_percent(
             f"{solver}:rho={rho:.6g},disc={disc}", problems)}
         for solver in ("pac", "dac") for disc in (0, 1) for rho in RHO
     ]  # fmt: skip
-    table = pd.DataFrame(rows)
+    return pd.DataFrame(rows)
+
+
+def draw(table: pd.DataFrame) -> Figure:
     figure = Figure(figsize=(5.5, 3.6), layout="constrained")
     axes = figure.add_subplot(xlabel="rho, relative to 1/W_NN and 1/lambda_max(W_TT)", ylabel="failures (%)")
     for (solver, disc), curve in table.groupby(["solver", "disc"]):
@@ -69,11 +66,17 @@ def main() -> None:
     axes.axvline(1.0, color="0.7", linewidth=0.8)
     axes.set_ylim(bottom=0)
     axes.legend(fontsize=8, loc="upper center")
-    given.out.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(given.out.with_suffix(".svg"), metadata={"Date": None})
-    figure.savefig(given.out.with_suffix(".png"), dpi=150)
-    table.to_csv(given.out.with_suffix(".csv"), index=False, float_format="%.6g")
-    print(table.pivot_table(index="rho", columns=["solver", "disc"], values="failure_percent").to_string())
+    return figure
+
+
+def main() -> None:
+    parser = options(__doc__)
+    parser.add_argument("--problems", type=int, default=20_000)
+    parser.add_argument("--out", type=Path, default=Path("results/alart_curnier_steps"))
+    given = parser.parse_args()
+    table = measure(contacts(given.problems, 1))
+    write_table(table, given.out.with_suffix(".csv"), 6)
+    save(draw(table), given.out.parent, given.out.name)
 
 
 if __name__ == "__main__":

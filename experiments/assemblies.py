@@ -7,9 +7,8 @@ About 20 blocks a row of W.
     python experiments/assemblies.py [--contacts 1000] [--mu 0.3] [--seed 3]
 """
 
-import argparse
-
 import numpy as np
+from common.script import options
 from scipy.sparse import bsr_array
 
 from fibercontact.problem.incremental import IncrementalProblem
@@ -57,9 +56,7 @@ def frames(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__)
     parser.add_argument("--contacts", type=int, default=1000)
     parser.add_argument("--mu", type=float, default=0.3)
     parser.add_argument("--seed", type=int, default=3)

@@ -15,12 +15,13 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from common.script import add_sets, entries, options, write_table
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from fibercontact.bench.environment import one_thread
 from fibercontact.bench.figures import COLOURS, DASHES, save
 from fibercontact.bench.passes import Laid, gauss_seidel, lay_out
-from fibercontact.bench.problem_set import find_set, limited, load_set
 from fibercontact.bench.protocol import OUTERS, Limits
 from fibercontact.bench.tables import performance_ratios
 from fibercontact.cli.solvers import split_solvers
@@ -46,9 +47,8 @@ USUAL = 0.9
 
 def problems(given: argparse.Namespace) -> Iterator[tuple[str, str, Laid]]:
     """Set, name and problem."""
-    for folder in (find_set(given.set), *given.also):
-        for entry in limited(load_set(folder), given.limit):
-            yield folder.name, entry.name, lay_out(read(entry.file).problem)
+    for source, entry in entries(given):
+        yield source, entry.name, lay_out(read(entry.file).problem)
 
 
 def contenders(names: str | None) -> dict[str, AnyConfigured]:
@@ -149,22 +149,17 @@ def draw(rows: pd.DataFrame, methods: list[str]) -> Figure:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--set", default="core306")
-    parser.add_argument("--also", type=Path, action="append", default=[], help="other folders of FCLIB files")
+    parser = options(__doc__)
+    add_sets(parser)
     parser.add_argument("--methods", metavar="A,B,...", help="global methods; all by default")
-    parser.add_argument("--limit", type=int, help="problems of each set; all by default")
     parser.add_argument("--out", type=Path, default=Path("results/global_methods"))
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     solvers = contenders(given.methods)
-    rows = pd.DataFrame(list(measured(given, solvers)))
+    with one_thread():
+        rows = pd.DataFrame(list(measured(given, solvers)))
     rows.to_csv(given.out / "rows.csv", index=False, float_format="%.4g")
-    found = table(rows)
-    found.to_csv(given.out / "table.csv", index=False, float_format="%.4g")
-    print(found.to_string(index=False, float_format="{:.4g}".format))
+    write_table(table(rows), given.out / "table.csv")
     save(draw(rows, list(solvers)), given.out, "time")
 
 

@@ -16,12 +16,12 @@ Of
     python experiments/one_contact_failures.py [--set problems/one_contact.h5] [--sample 2000] [--out FILE.csv]
 """
 
-import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from common.script import options, write_table
 
 from fibercontact.bench.contact_verdict import judge, tolerances
 from fibercontact.local.alart_curnier import alart_curnier, steps
@@ -193,9 +193,7 @@ def evidence(contacts: OneContacts, sample: int) -> Iterator[tuple]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__)
     parser.add_argument("--set", type=Path, default=Path("problems/one_contact.h5"))
     parser.add_argument("--sample", type=int, default=2000)
     parser.add_argument("--out", type=Path, default=Path("results/one_contact/evidence.csv"))
@@ -203,9 +201,7 @@ def main() -> None:
     with np.errstate(all="ignore"):  # iterates that diverge
         rows = evidence(read(given.set), given.sample)
         table = pd.DataFrame(rows, columns=["solver", "kind", "failures", "looked_at", "what", "value"])
-    given.out.parent.mkdir(parents=True, exist_ok=True)
-    table.to_csv(given.out, index=False, float_format="%.4g")
-    print(table.to_string(index=False, float_format="%.3g"))
+    write_table(table, given.out)
 
 
 if __name__ == "__main__":

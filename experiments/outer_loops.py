@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from assemblies import strands
+from common.script import add_sets, entries, options, write_table
 from matplotlib.figure import Figure
 
 from fibercontact.bench.environment import one_thread
 from fibercontact.bench.figures import COLOURS, save
-from fibercontact.bench.problem_set import find_set, limited, load_set
 from fibercontact.gauss_seidel.anderson import Acceleration
 from fibercontact.gauss_seidel.solver import LOOPS, GaussSeidel
 from fibercontact.local.registry import configure, registered
@@ -35,8 +35,6 @@ from fibercontact.problem.measure import measure
 ASKED = (("plain", 1e-4), ("plain", 1e-8), ("accelerated", 1e-8), ("robust", 1e-8))
 SWEEPS, SECONDS = 20_000, 120.0
 SYNTHETIC = ((200, 0.3, 2), (200, 1.0, 2), (1000, 0.3, 3), (1000, 1.0, 3), (5000, 0.3, 4), (5000, 1.0, 4))
-
-
 HARD = 1000
 """Sweeps from which a problem counts as hard."""
 CHOICES = (
@@ -54,11 +52,10 @@ CHOICES = (
 
 def problems(given: argparse.Namespace) -> Iterator[tuple[str, str, IncrementalProblem]]:
     """Set, name and problem."""
-    for folder in (find_set(given.set), *given.also):
-        for entry in limited(load_set(folder), given.limit):
-            problem = read(entry.file).problem
-            whole = problem if isinstance(problem, IncrementalProblem) else problem.condense()
-            yield folder.name, entry.name, whole
+    for source, entry in entries(given):
+        problem = read(entry.file).problem
+        whole = problem if isinstance(problem, IncrementalProblem) else problem.condense()
+        yield source, entry.name, whole
     for n, mu, seed in SYNTHETIC[: given.limit]:
         yield "strands", f"strands-{n}-mu{mu:g}", strands(n, mu, seed)
 
@@ -77,13 +74,23 @@ def solve(problem: IncrementalProblem, loop: str, tolerance: float, **how: Any) 
     }  # fmt: skip
 
 
+def measured(given: argparse.Namespace) -> Iterator[dict[str, object]]:
+    """All runs, everything compiled before the first."""
+    solve(strands(60, 0.3, 1), "robust", 1e-1)
+    for source, name, problem in problems(given):
+        for loop, tolerance in ASKED:
+            run = solve(problem, loop, tolerance)
+            yield {"set": source, "problem": name, "contacts": problem.n} | run
+
+
 def choices(rows: pd.DataFrame, given: argparse.Namespace) -> pd.DataFrame:
     """How each choice does on the hard problems."""
     accelerated = rows[rows.loop == "accelerated"]
     hard = set(accelerated[~accelerated.solved | (accelerated.sweeps > HARD)].problem)
     found = []
-    for _, name, problem in problems(given):
-        for sweeps, window, proximal in CHOICES if name in hard else ():
+    tried = ((name, problem) for _, name, problem in problems(given) if name in hard)
+    for name, problem in tried:
+        for sweeps, window, proximal in CHOICES:
             how = {"acceleration": Acceleration(sweeps, window), "proximal": proximal, "max_sweeps": 3 * HARD}
             about = {"problem": name, "sweeps_a_map": sweeps, "window": window, "c": proximal}
             found.append(about | solve(problem, "accelerated", 1e-8, **how))
@@ -128,28 +135,15 @@ def draw(rows: pd.DataFrame) -> Figure:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--set", default="core306")
-    parser.add_argument("--also", type=Path, action="append", default=[], help="other folders of FCLIB files")
-    parser.add_argument("--limit", type=int, help="problems of each set; all by default")
+    parser = options(__doc__)
+    add_sets(parser)
     parser.add_argument("--out", type=Path, default=Path("results/outer_loops"))
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    found: list[dict[str, object]] = []
     with one_thread():
-        for source, name, problem in problems(given):
-            solve(problem, "robust", 1e-1) if not found else None  # compiles
-            for loop, tolerance in ASKED:
-                found.append(
-                    {"set": source, "problem": name, "contacts": problem.n} | solve(problem, loop, tolerance)
-                )
-    rows = pd.DataFrame(found)
+        rows = pd.DataFrame(list(measured(given)))
     rows.to_csv(given.out / "rows.csv", index=False, float_format="%.4g")
-    table = summary(rows)
-    table.to_csv(given.out / "summary.csv", index=False, float_format="%.4g")
-    print(table.to_string(index=False, float_format="{:.4g}".format))
+    write_table(summary(rows), given.out / "summary.csv")
     lost = rows[(rows.loop == "robust") & ~rows.solved]
     print("not solved by the robust loop:", ", ".join(lost.problem) or "none")
     save(draw(rows), given.out, "time")

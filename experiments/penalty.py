@@ -18,7 +18,6 @@ rod, and on a ladder of factors sqrt(2) for fibres that fall on a plane. Writes 
     python experiments/penalty.py [--time 0.5] [--stiffness 30,100,300,…] [--fibres 24] [--out results/penalty]
 """
 
-import argparse
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -28,6 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from common.script import options, write_table
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.optimize import brentq
@@ -293,22 +293,17 @@ def _finish_steps(axes: Axes, title: str) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__)
     parser.add_argument("--time", type=float, default=0.5, help="seconds of creep")
     parser.add_argument("--stiffness", default="30,100,300,1000,3000,10000", help="of contacts, N/m")
     parser.add_argument("--fibres", type=int, default=24, help="fibres that fall")
     parser.add_argument("--out", type=Path, default=Path("results/penalty"))
     given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
     table, ways = creep(given.time)
-    table.to_csv(given.out / "creep.csv", index=False, float_format="%.4g")
-    print(table.to_string(index=False, float_format="{:.4g}".format))
+    write_table(table, given.out / "creep.csv")
     stiffness = [float(k) for k in given.stiffness.split(",")]
     limits = pd.concat([rod_limits(stiffness), fall_limits(stiffness, given.fibres)], ignore_index=True)
-    limits.to_csv(given.out / "steps.csv", index=False, float_format="%.4g")
-    print(limits.to_string(index=False, float_format="{:.4g}".format))
+    write_table(limits, given.out / "steps.csv")
     save(draw(table, ways, limits), given.out, "penalty")
 
 

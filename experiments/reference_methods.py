@@ -6,13 +6,13 @@ sweeps from zero stall. Each way has the same time; the order of `fibercontact.r
     python experiments/reference_methods.py [--problems 30] [--hard] [--seconds 10] [--out results/references]
 """
 
-import argparse
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from common.script import options
 from numpy.typing import NDArray
 
 from fibercontact.bench.problem_set import find_set, limited, load_set
@@ -84,9 +84,7 @@ def table(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__)
     parser.add_argument("--problems", type=int, default=30)
     parser.add_argument("--hard", action="store_true", help="only problems of the hard scenes")
     parser.add_argument("--max-contacts", type=int, default=3000)

@@ -12,17 +12,17 @@ end, 0.15 % at most here. The friction of these models acts at the centreline. W
     python experiments/rod_capstan.py [--meshes 8,16] [--cases 0.1:1,0.3:1,...] [--out results/rods]
 """
 
-import argparse
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from common.script import options, write_table
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rods import references
-from rods.contact_scenes import MODELS, PALETTE, Rod, contact_force, scene
-from rods.tables import with_errors
+from rods.contact_scenes import MODELS, Rod, contact_force, scene
+from rods.tables import PALETTE, with_errors
 
 from fibercontact.bench.figures import MARKERS, save
 from fibercontact.contact.obstacles import Cylinder
@@ -202,9 +202,7 @@ def _draw_errors(axes: Axes, table: pd.DataFrame, wraps: list[Wrap], mesh: int) 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__)
     parser.add_argument("--meshes", default="8,16", help="elements on half a turn; the finest is drawn")
     parser.add_argument("--cases", default="0.1:1,0.3:1,0.5:1,0.7:1,0.2:2,0.4:2", help="mu:half turns, …")
     parser.add_argument("--out", type=Path, default=Path("results/rods"))
@@ -214,9 +212,7 @@ def main() -> None:
         Wrap(float(mu), int(halves)) for mu, halves in (case.split(":") for case in given.cases.split(","))
     ]
     table, states = measure(meshes, wraps)
-    given.out.mkdir(parents=True, exist_ok=True)
-    table.to_csv(given.out / "capstan.csv", index=False, float_format="%.6g")
-    print(table.to_string(index=False, float_format="{:.6g}".format))
+    write_table(table, given.out / "capstan.csv", 6)
     save(draw(table, states, wraps, meshes[-1]), given.out, "capstan")
 
 

@@ -8,27 +8,27 @@ at a quarter, half, three quarters and the end of the rod, in lengths. Writes a 
     python experiments/rod_convergence.py [--most 32] [--out results/rods]
 """
 
-import argparse
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from common.script import options, write_table
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 from rods import references
 from rods.cases import POISSON, RADIUS, Case
 from rods.models import MODELS, Model
+from rods.tables import PALETTE
 
-from fibercontact.bench.figures import COLOURS, MARKERS, save
+from fibercontact.bench.figures import MARKERS, save
 
 WEIGHT, CURL = 20.0, (4.0, 8.0, 0.0)
 SHAPES = {
     "heavy elastica": [Case(gravity=(0.0, 0.0, -WEIGHT))],
     "hanging curl": [Case(CURL, (share * WEIGHT, 0.0, 0.0)) for share in (0.125, 0.25, 0.5, 0.75, 1.0)],
 }
-PALETTE = (COLOURS[4], COLOURS[1], COLOURS[3])  # of the models
 TESTS = (*SHAPES, "bending frequency", "twist frequency")
 
 
@@ -111,17 +111,13 @@ def _draw_slope(axes, curve: pd.DataFrame) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__)
     parser.add_argument("--most", type=int, default=32, help="elements of the finest mesh")
     parser.add_argument("--out", type=Path, default=Path("results/rods"))
     given = parser.parse_args()
     table = measure(given.most)
-    given.out.mkdir(parents=True, exist_ok=True)
+    write_table(table, given.out / "convergence.csv")
     save(draw(table), given.out, "convergence")
-    table.to_csv(given.out / "convergence.csv", index=False, float_format="%.4g")
-    print(table.to_string(index=False, float_format="{:.3g}".format))
 
 
 if __name__ == "__main__":

@@ -9,12 +9,12 @@ two tables.
     python experiments/rod_energy.py [--steps 600] [--out results/rods]
 """
 
-import argparse
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from common.script import options, write_table
 from matplotlib.figure import Figure
 from rods.contact_scenes import MODELS, Rod, contact_work, scene, total_energy
 from rods.tables import with_errors
@@ -138,17 +138,13 @@ def draw(runs: dict[str, Balance]) -> Figure:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__)
     parser.add_argument("--steps", type=int, default=600, help="steps of the thrown rod")
     parser.add_argument("--out", type=Path, default=Path("results/rods"))
     given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
     runs = {model: thrown(model, given.steps) for model in MODELS}
     for name, table in {"energy": summary(runs), "sliding": sliding()}.items():
-        table.to_csv(given.out / f"{name}.csv", index=False, float_format="%.6g")
-        print(table.to_string(index=False, float_format="{:.6g}".format))
+        write_table(table, given.out / f"{name}.csv", 6)
     save(draw(runs), given.out, "energy")
 
 

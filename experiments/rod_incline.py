@@ -8,15 +8,15 @@ a figure and a table.
     python experiments/rod_incline.py [--mus 0.1,0.3,0.5,1] [--resolution 0.005] [--out results/rods]
 """
 
-import argparse
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from common.script import options, write_table
 from matplotlib.figure import Figure
-from rods.contact_scenes import MODELS, PALETTE, Rod, in_plane, scene
-from rods.tables import with_errors
+from rods.contact_scenes import MODELS, Rod, in_plane, scene
+from rods.tables import PALETTE, with_errors
 
 from fibercontact.bench.figures import MARKERS, save
 from fibercontact.contact.obstacles import Plane
@@ -101,9 +101,7 @@ def draw(table: pd.DataFrame, mu: float) -> Figure:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__)
     parser.add_argument(
         "--mus", default="0.1,0.3,0.5,1", help="coefficients of friction; the middle one is drawn"
     )
@@ -112,9 +110,7 @@ def main() -> None:
     given = parser.parse_args()
     mus = [float(x) for x in given.mus.split(",")]
     table = measure(mus, given.resolution)
-    given.out.mkdir(parents=True, exist_ok=True)
-    table.to_csv(given.out / "incline.csv", index=False, float_format="%.6g")
-    print(table.to_string(index=False, float_format="{:.6g}".format))
+    write_table(table, given.out / "incline.csv", 6)
     save(draw(table, mus[len(mus) // 2]), given.out, "incline")
 
 

@@ -10,18 +10,18 @@ Times are in units of sqrt(rho S L⁴/EI). Writes a figure and a table.
     python experiments/rod_stick_slip.py [--elements 8,16,32] [--mus 0.2,0.3,0.4,0.5] [--dt 0.02] [--out results/rods]
 """
 
-import argparse
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from common.script import options, write_table
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rods import references
-from rods.contact_scenes import MODELS, PALETTE, Rod, contact_force, scene, tip
-from rods.tables import with_errors
+from rods.contact_scenes import MODELS, Rod, contact_force, scene, tip
+from rods.tables import PALETTE, with_errors
 
 from fibercontact.bench.figures import MARKERS, save
 from fibercontact.contact.obstacles import Plane
@@ -205,9 +205,7 @@ def _draw_onsets(axes: Axes, table: pd.DataFrame, elements: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__)
     parser.add_argument("--elements", default="8,16,32", help="meshes of the table; the middle one is drawn")
     parser.add_argument("--mus", default="0.2,0.3,0.4,0.5", help="coefficients of friction")
     parser.add_argument("--dt", type=float, default=0.02, help="time step")
@@ -215,9 +213,7 @@ def main() -> None:
     given = parser.parse_args()
     meshes = [int(x) for x in given.elements.split(",")]
     table, runs = measure(meshes, [float(x) for x in given.mus.split(",")], given.dt)
-    given.out.mkdir(parents=True, exist_ok=True)
-    table.to_csv(given.out / "stick_slip.csv", index=False, float_format="%.6g")
-    print(table.to_string(index=False, float_format="{:.6g}".format))
+    write_table(table, given.out / "stick_slip.csv", 6)
     save(draw(table, runs, meshes[len(meshes) // 2]), given.out, "stick_slip")
 
 

@@ -7,10 +7,10 @@ mesh of each.
     python experiments/rod_table.py [--tables results/rods] [--out results/rods]
 """
 
-import argparse
 from pathlib import Path
 
 import pandas as pd
+from common.script import options
 from rods.contact_scenes import MODELS
 from rods.tables import COLUMNS
 
@@ -41,9 +41,7 @@ def _cell(row: pd.Series) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__)
     parser.add_argument("--tables", type=Path, default=Path("results/rods"), help="where the tables are")
     parser.add_argument("--out", type=Path, default=Path("results/rods"))
     given = parser.parse_args()

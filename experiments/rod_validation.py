@@ -11,7 +11,6 @@ kappa L = 5.5 both branches end in a fold within the plane before that. Writes a
     python experiments/rod_validation.py [--elements 8,16,32] [--bends 5.8,6,7,8,10,12,14] [--out results/rods]
 """
 
-import argparse
 from collections import deque
 from functools import cache
 from itertools import product
@@ -19,19 +18,19 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from common.script import options, write_table
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rods import references
 from rods.cases import POISSON, Case
 from rods.models import MODELS, Model
-from rods.tables import with_errors
+from rods.tables import PALETTE, with_errors
 
-from fibercontact.bench.figures import COLOURS, MARKERS, save
+from fibercontact.bench.figures import MARKERS, save
 
 MASTER_WEIGHTS = np.geomspace(0.1, 1000, 13)
 TABLED_WEIGHT, TABLED_BEND = 10.0, 8.0
 BRANCHES = ("curl", "hanging")
-PALETTE = (COLOURS[4], COLOURS[1], COLOURS[3])  # of the models
 
 
 def aspect(end: np.ndarray) -> np.ndarray:
@@ -142,9 +141,7 @@ def _markers(axes: Axes, x, y, k: int, label: str | None) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__)
     parser.add_argument("--elements", default="8,16,32", help="meshes of the table; the middle one is drawn")
     parser.add_argument(
         "--bends", default="5.8,6,7,8,10,12,14", help="natural curvatures of the diagram, kappa L"
@@ -154,14 +151,10 @@ def main() -> None:
     given = parser.parse_args()
     meshes = [int(x) for x in given.elements.split(",")]
     drawn = meshes[len(meshes) // 2]
-    given.out.mkdir(parents=True, exist_ok=True)
-    table = accuracy(meshes)
-    table.to_csv(given.out / "validation.csv", index=False, float_format="%.6g")
-    print(table.to_string(index=False, float_format="{:.6g}".format))
+    write_table(accuracy(meshes), given.out / "validation.csv", 6)
     bends = [float(x) for x in given.bends.split(",")]
     critical = diagram(drawn, bends)
-    critical.to_csv(given.out / "transition.csv", index=False, float_format="%.6g")
-    print(critical.to_string(index=False, float_format="{:.6g}".format))
+    write_table(critical, given.out / "transition.csv", 6)
     save(draw(drawn, critical, np.linspace(bends[0], bends[-1], given.curve)), given.out, "validation")
 
 

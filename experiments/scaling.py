@@ -8,7 +8,6 @@ those of costs. Writes two tables and a figure. Times want a machine that does n
     python experiments/scaling.py [--fibres 50,...,2000] [--models helix,clothoid] [--out results/scaling]
 """
 
-import argparse
 import multiprocessing
 import resource
 from concurrent.futures import ProcessPoolExecutor
@@ -18,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from common.script import options, write_table
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 from scipy import stats
@@ -149,22 +149,16 @@ def draw(table: pd.DataFrame) -> Figure:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__)
     parser.add_argument("--fibres", default=FIBRES)
     parser.add_argument("--models", default="helix,clothoid")
     parser.add_argument("--steps", type=int, default=120)
     parser.add_argument("--out", type=Path, default=Path("results/scaling"))
     given = parser.parse_args()
     table = measure(given.models.split(","), [int(count) for count in given.fibres.split(",")], given.steps)
-    laws = exponents(table)
-    given.out.mkdir(parents=True, exist_ok=True)
-    table.to_csv(given.out / "runs.csv", index=False, float_format="%.4g")
-    laws.to_csv(given.out / "exponents.csv", index=False, float_format="%.4g")
+    write_table(table, given.out / "runs.csv")
+    write_table(exponents(table), given.out / "exponents.csv")
     save(draw(table), given.out, "scaling")
-    print(table.to_string(index=False, float_format="{:.4g}".format))
-    print(laws.to_string(index=False, float_format="{:.3g}".format))
 
 
 if __name__ == "__main__":

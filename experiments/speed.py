@@ -8,12 +8,10 @@ table a study and two figures. Times want a machine that does nothing else.
     python experiments/speed.py [--peers siconos] [--files FOLDER] [--most 100000] [--out results/speed]
 """
 
-import argparse
 import os
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +20,7 @@ from unittest.mock import patch
 import numpy as np
 import pandas as pd
 from assemblies import strands
+from common.script import fastest, options, write_table
 from matplotlib.figure import Figure
 from scipy import stats
 
@@ -129,16 +128,6 @@ def files(folder: Path, names: Sequence[str], repetitions: int) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def least(call: Callable[[], object], repetitions: int) -> float:
-    """The least time of several calls, s."""
-    times = []
-    for _ in range(repetitions):
-        began = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - began)
-    return min(times)
-
-
 def roofline(most: int, repetitions: int) -> pd.DataFrame:
     """A visit that moves its contact, beside the time to read its blocks from memory and to push them."""
     rows = [
@@ -158,11 +147,11 @@ def row_of_roofline(laid: Laid, repetitions: int) -> dict[str, float]:
     visits = sweeps.solve_system(system, laid.problem.b_ref).visits
     asked = visits.total - visits.left_out
     write_velocity(system, parts, r, team, u)
-    reading = least(system.blocks.sum, 10 * repetitions) / n
-    pushing = least(lambda: write_velocity(system, parts, r, team, u), 10 * repetitions) / n
-    visiting = least(lambda: sweeps.solve_system(system, laid.problem.b_ref), repetitions) / asked
+    reading = fastest(system.blocks.sum, 10 * repetitions) / n
+    pushing = fastest(lambda: write_velocity(system, parts, r, team, u), 10 * repetitions) / n
+    visiting = fastest(lambda: sweeps.solve_system(system, laid.problem.b_ref), repetitions) / asked
     with patch("fibercontact.gauss_seidel.solver.LANES", 1):
-        one_by_one = least(lambda: sweeps.solve_system(system, laid.problem.b_ref), repetitions) / asked
+        one_by_one = fastest(lambda: sweeps.solve_system(system, laid.problem.b_ref), repetitions) / asked
     return {
         "contacts": n,
         "blocks_a_row": len(system.columns) / n,
@@ -184,10 +173,9 @@ def growth(most: int, repetitions: int) -> pd.DataFrame:
         laid = lay_out(strands(n, 0.3, 3))
         cores, times, runs = len(usable_cores()), [], []
         for threads in (1, cores):
-            os.environ["FIBERCONTACT_THREADS"] = str(threads)
             call = lambda: runs.append(solve.solve_system(laid.system, laid.problem.b_ref))  # noqa: B023, E731
-            times.append(least(call, max(2, repetitions if n < 30_000 else 2)))
-        del os.environ["FIBERCONTACT_THREADS"]
+            with patch.dict(os.environ, FIBERCONTACT_THREADS=str(threads)):
+                times.append(fastest(call, max(2, repetitions if n < 30_000 else 2)))
         rows.append(
             {
                 "contacts": n, "one_thread_ms": 1e3 * times[0], "threads": cores, "threads_ms": 1e3 * times[1],
@@ -272,9 +260,7 @@ def with_peers(asked: Sequence[str]) -> list[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__)
     parser.add_argument("--peers", default="", help=f"any of {', '.join(PEERS)}")
     parser.add_argument("--files", type=Path, help="folder of FCLIB files")
     parser.add_argument("--most", type=int, default=100_000, help="contacts of the largest assembly")
@@ -292,11 +278,10 @@ def main() -> None:
             tables["files"] = files(given.files, [*OURS, *peers], given.repetitions)
         tables["accuracy"] = accuracy(OURS, given.most, min(3, given.repetitions))
     tables["growth"] = growth(given.most, given.repetitions)
-    given.out.mkdir(parents=True, exist_ok=True)
     print(cpu_model())
     for name, table in tables.items():
-        table.to_csv(given.out / f"{name}.csv", index=False, float_format="%.4g")
-        print(f"\n{name}\n{table.to_string(index=False, float_format='{:.4g}'.format)}")
+        print(f"\n{name}")
+        write_table(table, given.out / f"{name}.csv")
     save(draw_accuracy(tables["accuracy"]), given.out, "accuracy")
     save(draw_growth(tables["growth"]), given.out, "growth")
 

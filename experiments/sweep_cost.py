@@ -6,10 +6,9 @@ from zero, the solvers taking turns, without any evaluation of the residual in b
     python experiments/sweep_cost.py [--contacts 1000] [--repetitions 30] [--solvers secular,hybrid]
 """
 
-import argparse
-
 import numpy as np
 from assemblies import strands
+from common.script import options
 
 from fibercontact.gauss_seidel.blocks import block_system
 from fibercontact.gauss_seidel.solver import LOOPS, GaussSeidel
@@ -19,9 +18,7 @@ SWEEPS = 20
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__)
     parser.add_argument("--contacts", type=int, default=1000)
     parser.add_argument("--repetitions", type=int, default=30)
     parser.add_argument("--solvers", default="secular,hybrid,mfb,dac,pac,enum-quartic,enum-companion,pyramid")

@@ -17,11 +17,11 @@ from fibercontact.simulation.scene import Air
 from fibercontact.simulation.scenes import Parameters, build
 from fibercontact.simulation.step import simulate, start, take_step
 
-STEPS, BROKEN_AFTER = 12, 6
+STEPS, BROKEN_AFTER = 12, 8
 
 
 def scene_of(model, kind="twist"):
-    return replace(build(Parameters(kind, 16, "mixed", 0.4, 0.3, 3, model)), steps=STEPS)
+    return replace(build(Parameters(kind, 8, "mixed", 0.4, 0.3, 3, model)), steps=STEPS)
 
 
 def run(scene, world=None, first=0):
@@ -147,7 +147,7 @@ def edit(name, value):
         (edit("format", None), "its format is 'none', not 'fibercontact checkpoint 1'"),
         (edit("format", "fibercontact checkpoint 0"), "its format is 'fibercontact checkpoint 0'"),
         (edit("world/state/q", None), "world/state/q is missing"),
-        (edit("world/state/q", np.zeros(3)), r"world/state/q holds float64 \(3,\), not float64 \(16, 5, 3\)"),
+        (edit("world/state/q", np.zeros(3)), r"world/state/q holds float64 \(3,\), not float64 \(8, 5, 3\)"),
         (edit("world/impulses", np.zeros((1, 3))), r"world/impulses holds float64 \(1, 3\)"),
         (edit("world/state/v", "fast"), "world/state/v holds object, not float64 values"),
     ],
@@ -163,7 +163,7 @@ def test_a_checkpoint_that_cannot_be_used_is_named_with_its_fault(fault, message
 @pytest.mark.parametrize(
     ("other", "message"),
     [
-        (build("wisp-straight-19-mu0.3"), "a checkpoint of the scene 'twist-mixed-16-mu0.4', not of 'wisp-"),
+        (build("wisp-straight-19-mu0.3"), "a checkpoint of the scene 'twist-mixed-8-mu0.4', not of 'wisp-"),
         (replace(scene_of("helix"), mu_obstacles=0.9), "is not what it was"),
         (replace(scene_of("helix"), gravity=lambda time: np.zeros(3)), "is not what it was"),
         (replace(scene_of("helix"), air=Air(1e-3, 5e-4)), "is not what it was"),
@@ -208,6 +208,13 @@ def rows_of(folder):
 
 def world_of(folder):
     return load_checkpoint(folder / CHECKPOINT, build(SCENE))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _no_pictures():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fibercontact.simulation.record.draw", lambda *_: None)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from matplotlib.colors import to_rgb
 from PIL import Image
 from scipy.sparse import eye_array
+from slope import incline
 from typer.testing import CliRunner
 
 from fibercontact.cli import app
@@ -24,7 +25,6 @@ from fibercontact.local.algebra import OPEN, SLIP, STICK
 from fibercontact.local.registry import configure, registered
 from fibercontact.problem.fclib import Solution, write
 from fibercontact.problem.incremental import IncrementalProblem
-from fibercontact.rods.model import circular_rods, rest_state
 from fibercontact.simulation.penalty import penalty_for
 from fibercontact.simulation.pictures import animation
 from fibercontact.simulation.pictures.animation import AnimationError, images, write_gif, write_mp4
@@ -36,7 +36,6 @@ from fibercontact.simulation.pictures.scene_page import scene_page, tubes
 from fibercontact.simulation.pictures.shown import REGIMES, Shown, force_scale, held, regimes, show
 from fibercontact.simulation.pictures.still import _round_number, caption, draw, draw_shown, pixels
 from fibercontact.simulation.pictures.surfaces import seen_surface
-from fibercontact.simulation.scene import Body, Scene
 from fibercontact.simulation.scenes import Parameters, build
 from fibercontact.simulation.step import simulate
 
@@ -60,29 +59,6 @@ def shown(fibres, radius=1e-3, index=0, **more):
         "force": np.zeros((0, 3)),
     }
     return Shown(index, 0.01 * index, fibres, np.full(len(fibres), radius), **nothing | more)
-
-
-def incline(theta, mu):
-    """A free rod along the slope of a plane."""
-    c, s = math.cos(theta), math.sin(theta)
-    turn = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-    rods = circular_rods(
-        length=0.1, radius=1e-3, young=1e8, poisson=0.3, density=1000.0, elements=3, free=True
-    )
-    return Scene(
-        name="incline",
-        description="A rod on a slope.",
-        rods=rods,
-        state=rest_state(rods, turn @ [0.0, 0.0, 1e-3], turn),
-        bodies=[Body(np.zeros(3), obstacles=[Plane(np.zeros(3), turn[:, 2])])],
-        carrier=np.zeros(1, dtype=np.int64),
-        dt=2e-3,
-        steps=20,
-        mu_fibres=0.0,
-        mu_obstacles=mu,
-        segments=6,
-        tolerance=1e-8,
-    )
 
 
 @pytest.fixture(scope="module")
@@ -254,7 +230,7 @@ def test_regimes_of_known_answers():
 @pytest.mark.parametrize("share", [0.7, 1.3])
 def test_a_rod_on_a_slope_is_shown_to_stick_or_slip_as_its_forces_say(share):
     """Forces are split by the slope's own normal; above the friction angle every contact slips."""
-    scene = incline(math.atan(share * 0.5), 0.5)
+    scene = incline(math.atan(share * 0.5), 0.5, steps=20)
     *_, last = simulate(scene)
     drawn, normal = show(scene, last), scene.bodies[0].obstacles[0].normal
     f_N = drawn.force @ normal
@@ -327,7 +303,7 @@ def test_a_scale_bar_is_a_round_number_as_long_as_fits(power, ulps, share):
 
 def test_penalty_contacts_are_shown_to_slide_or_not_to_touch(tmp_path):
     """Where nothing pushes there is take-off; its friction has no stick."""
-    scene = replace(incline(0.2, 0.5), dt=2e-4, steps=30)
+    scene = incline(0.2, 0.5, steps=30, dt=2e-4)
     *_, last = simulate(scene, penalty=penalty_for(scene))
     drawn, pushed = show(scene, last), last.world.impulses.any(axis=1)
     assert pushed.any()

@@ -14,6 +14,7 @@ from fibercontact.rods.discrete_model import DiscreteRods
 from fibercontact.rods.interface import rod_model
 from fibercontact.simulation import scene_file
 from fibercontact.simulation.scene import SceneError
+from fibercontact.simulation.scene_faults import known_keys
 from fibercontact.simulation.scene_file import open_scene
 from fibercontact.simulation.scenes import build
 from fibercontact.simulation.step import simulate
@@ -257,8 +258,13 @@ def test_a_python_file_gives_its_scene(tmp_path):
         ("x = = 1", r"mine.py: SyntaxError: invalid syntax.*\(line 1\)"),
         ("def scene():\n    return 7\n", r"needs a function scene\(\) that returns"),
         (PYTHON.replace("steps=2", "steps=0"), r"mine.py: steps: must be at least 1, not 0"),
-        (PYTHON.replace("steps=2", "dt=float('nan')"), r"mine.py: dt: must be positive, not nan"),
-        (PYTHON.replace("steps=2", "mu_fibres=-1.0"), r"mu_fibres: must not be negative"),
+        (PYTHON.replace("steps=2", "dt=float('nan')"), r"mine.py: dt: must be positive and finite, not nan"),
+        (PYTHON.replace("steps=2", "mu_fibres=-1.0"), r"mu_fibres: must be finite and not negative, not -1"),
+        (
+            PYTHON.replace("steps=2", "tolerance=float('inf')"),
+            r"tolerance: must be finite and not negative, not inf",
+        ),
+        (PYTHON.replace("steps=2", "segments=0"), r"segments: must be at least 1, not 0"),
         (PYTHON.replace("steps=2", "bodies=[]"), r"bodies: there is none"),
         (PYTHON.replace("steps=2", "carrier=[0, 1]"), r"carrier: needs the index of one of the 1 bodies"),
     ],
@@ -289,4 +295,4 @@ def test_the_documentation_shows_the_template_and_a_scene_in_python_that_runs(tm
 
 
 def test_the_documentation_has_every_key():
-    assert scene_file._known_keys() <= set(re.findall(r"\w+", DOCS.replace(TEMPLATE, "")))
+    assert known_keys() <= set(re.findall(r"\w+", DOCS.replace(TEMPLATE, "")))

@@ -4,49 +4,23 @@ import csv
 import math
 from collections import Counter
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
-from scipy.spatial.transform import Rotation
+from slope import UP, incline
 
 from fibercontact.bench.problem_set import load_set
-from fibercontact.contact.obstacles import Plane
 from fibercontact.problem.fclib import read
 from fibercontact.problem.measure import measure
 from fibercontact.rods.dynamics import energy
-from fibercontact.rods.model import circular_rods, rest_state
 from fibercontact.simulation import corpus
-from fibercontact.simulation.scene import Body, Motion, Scene, SceneError
+from fibercontact.simulation.scene import Motion, SceneError
 from fibercontact.simulation.scenes import HEADS, KINDS, SCENES, Parameters, build
 from fibercontact.simulation.step import SimulationError, simulate
 
-UP = np.array([0.0, 0.0, 1.0])
 GRAVITY = 9.81
-
-
-def incline(theta, mu, steps=60, dt=2e-3):
-    """A free rod laid along the slope of a plane inclined by theta."""
-    turn = Rotation.from_rotvec([0.0, theta, 0.0]).as_matrix()
-    rods = circular_rods(
-        length=0.1, radius=1e-3, young=1e8, poisson=0.3, density=1000.0, elements=3, free=True
-    )
-    return Scene(
-        name="incline",
-        description="A rod on a slope.",
-        rods=rods,
-        state=rest_state(rods, turn @ [0.0, 0.0, 1e-3], turn),
-        bodies=[Body(np.zeros(3), obstacles=[Plane(np.zeros(3), turn @ UP)])],
-        carrier=np.zeros(1, dtype=np.int64),
-        dt=dt,
-        steps=steps,
-        mu_fibres=0.0,
-        mu_obstacles=mu,
-        segments=6,
-        tolerance=1e-8,
-    )
 
 
 def final_speed(scene):
@@ -275,10 +249,6 @@ def test_a_run_taken_up_in_the_middle_is_the_run():
         assert one.index == other.index
         np.testing.assert_array_equal(one.world.state.q, other.world.state.q)
         np.testing.assert_array_equal(one.world.impulses, other.world.impulses)
-
-
-def test_steps_come_one_by_one():
-    assert len(list(islice(simulate(build("wisp-straight-19-mu0.3")), 2))) == 2
 
 
 @pytest.mark.parametrize("problems", corpus.SETS.values(), ids=corpus.SETS)

@@ -11,6 +11,13 @@ from typing import NamedTuple, Protocol, Self, TypeVar
 import numpy as np
 
 POISSON, RADIUS = 0.5, 0.01
+MATERIAL = {
+    "length": 1.0,
+    "radius": RADIUS,
+    "young": 4 / (np.pi * RADIUS**4),
+    "poisson": POISSON,
+    "density": 1 / (np.pi * RADIUS**2),
+}
 _HALVINGS = 8  # of the way between two cases
 
 

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fibercontact.bench.figures import COLOURS
 from fibercontact.contact.obstacles import Obstacle
 from fibercontact.rods import (
     CLOTHOID,
@@ -26,7 +25,6 @@ from fibercontact.simulation.step import Step
 
 Array = NDArray[np.float64]
 MODELS = ("Super-Helix", "Super-Clothoid", "Discrete rod")
-PALETTE = (COLOURS[4], COLOURS[1], COLOURS[3])  # of the models
 
 
 class Rod(NamedTuple):
@@ -37,9 +35,7 @@ class Rod(NamedTuple):
     bending: float = 1.0  # EI
     line_density: float = 1.0  # rho S
     rest_curvature: float = 0.0  # in the plane, towards n_1
-    turned: Callable[[Array], Array] | None = (
-        None  # angle that the rod turns by up to s; None: its natural arc
-    )
+    turned: Callable[[Array], Array] | None = None  # angle it turns by up to s; None: its natural arc
     damping: float = 0.0
     free: bool = False
     position: Sequence[float] = (0.0, 0.0, 0.0)

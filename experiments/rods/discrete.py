@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rods.cases import POISSON, RADIUS, Case, follow
+from rods.cases import MATERIAL, Case, follow
 from scipy.linalg import eigh
 
 from fibercontact.rods import DiscreteRods, DiscreteState, discrete_rods, discrete_state
@@ -85,11 +85,7 @@ class DiscreteRod:
 
     def _rods(self, elements: int, case: Case, free: bool = False) -> DiscreteRods:
         return discrete_rods(
-            length=1.0,
-            radius=RADIUS,
-            young=4 / (np.pi * RADIUS**4),
-            poisson=POISSON,
-            density=1 / (np.pi * RADIUS**2),
+            **MATERIAL,
             edges=elements,
             curvature=case.curvature,
             free=free,

@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from rods.cases import POISSON, RADIUS, Case, follow
+from rods.cases import MATERIAL, Case, follow
 from rods.discrete import DiscreteRod
 from scipy.linalg import eigh
 
@@ -126,11 +126,7 @@ class CurvatureRod:
 
     def _rods(self, elements: int, case: Case, free: bool = False) -> Rods:
         return circular_rods(
-            length=1.0,
-            radius=RADIUS,
-            young=4 / (np.pi * RADIUS**4),
-            poisson=POISSON,
-            density=1 / (np.pi * RADIUS**2),
+            **MATERIAL,
             elements=elements,
             curvature=case.curvature,
             free=free,

@@ -1,9 +1,12 @@
-"""Tables of what was measured against what is known."""
+"""Tables of what was measured against what is known, and the colours of the models in figures."""
 
 import numpy as np
 import pandas as pd
 
+from fibercontact.bench.figures import COLOURS
+
 COLUMNS = ["quantity", "model", "elements", "value", "reference"]
+PALETTE = (COLOURS[4], COLOURS[1], COLOURS[3])
 
 
 def with_errors(rows: list[tuple]) -> pd.DataFrame:

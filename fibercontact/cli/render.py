@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from fibercontact.cli.errors import user_errors
+from fibercontact.errors import UserError
 
 if TYPE_CHECKING:
     from fibercontact.bench.problem_set import Entry
@@ -84,8 +85,7 @@ def render(
 
         found = _named(what)
         problem = found if isinstance(found, Entry) else None
-        stem = problem.name if problem else Path(what).name.removesuffix(".toml").removesuffix(".py")
-        files = out or [Path(stem + suffix) for suffix in STILLS]
+        files = out or [Path(found.name + suffix) for suffix in STILLS]
         _check_files(files)
         _check_options(problem is not None, rods, step is not None, time is not None)
         if problem and not rods:
@@ -112,7 +112,6 @@ def _named(what: str) -> "Entry | Scene":
     """The problem of an FCLIB file or of core306, or a scene."""
     from fibercontact.bench.problem_set import find_problem
     from fibercontact.bench.protocol import BenchError
-    from fibercontact.errors import UserError
 
     if Path(what).suffix.lower() in PROBLEMS:
         return find_problem(what)
@@ -135,35 +134,30 @@ def _scene(name: str) -> "Scene":
 
 def _check_files(files: Sequence[Path]) -> None:
     """Refuse what cannot be written, before anything is computed."""
-    from fibercontact.bench.protocol import BenchError
     from fibercontact.simulation.pictures.animation import ffmpeg
 
     for file in files:
         if _suffix(file) not in STILLS + FILMS:
-            raise BenchError(f"{file}: pictures end in {', '.join(STILLS + FILMS)}")
+            raise UserError(f"{file}: pictures end in {', '.join(STILLS + FILMS)}")
         if not file.parent.is_dir():
-            raise BenchError(f"{file}: no such folder as {file.parent}")
+            raise UserError(f"{file}: no such folder as {file.parent}")
         if file.is_dir() or not os.access(file if file.exists() else file.parent, os.W_OK):
-            raise BenchError(f"{file}: cannot be written")
+            raise UserError(f"{file}: cannot be written")
         if _suffix(file) == ".mp4":
             ffmpeg()
 
 
 def _check_options(problem: bool, rods: bool, step: bool, time: bool) -> None:
-    from fibercontact.bench.protocol import BenchError
-
     if step and time:
-        raise BenchError("--step or --time, not both")
+        raise UserError("--step or --time, not both")
     if problem and (step or time):
-        raise BenchError("--step and --time are for scenes; a problem is one step of one")
+        raise UserError("--step and --time are for scenes; a problem is one step of one")
     if rods and not problem:
-        raise BenchError("--rods is for problems; a scene is drawn with its rods anyway")
+        raise UserError("--rods is for problems; a scene is drawn with its rods anyway")
 
 
 def _last(scene: "Scene", step: int | None, time: float | None) -> int:
     """The step to draw; the first that ends at the time or after it."""
-    from fibercontact.bench.protocol import BenchError
-
     if time is not None:
         step = max(0, math.ceil(time / scene.dt - 1e-9) - 1)
     if step is None:
@@ -171,7 +165,7 @@ def _last(scene: "Scene", step: int | None, time: float | None) -> int:
     if step >= scene.steps:
         asked = f"step {step}" if time is None else f"{time:g} s"
         end = f"its last step, {scene.steps - 1}, ends at {scene.steps * scene.dt:g} s"
-        raise BenchError(f"{scene.name}: {asked} is beyond its end: {end}")
+        raise UserError(f"{scene.name}: {asked} is beyond its end: {end}")
     return step
 
 
@@ -199,7 +193,7 @@ def _run(scene: "Scene", last: int, every: int) -> Footage:
 
 
 def _compare(entry: "Entry", step: "Step") -> None:
-    """Say whether the scene, run again, poses the problem of the file: footages part where rounding differs."""
+    """Say whether the scene, run again, poses the problem of the file: motions part where rounding differs."""
     from fibercontact.problem.fclib import read
 
     there = read(entry.file).problem
@@ -254,14 +248,13 @@ def _draw_page(file: Path, footage: Footage, look: Look) -> None:
 
 
 def _draw_problem(entry: "Entry", files: Sequence[Path]) -> None:
-    from fibercontact.bench.protocol import BenchError
     from fibercontact.files import replacing
     from fibercontact.simulation.pictures.page import write_page
     from fibercontact.simulation.pictures.problem import problem_figure, problem_page
 
     for file in files:
         if _suffix(file) in FILMS:
-            raise BenchError(f"{file}: a problem does not move; with --rods its scene does")
+            raise UserError(f"{file}: a problem does not move; with --rods its scene does")
     answer = _answer(entry)
     for file in files:
         if _suffix(file) == ".html":

@@ -26,18 +26,7 @@ from fibercontact.simulation.scenes import COMPARED, HEADS, SCENES, Parameters, 
 from fibercontact.simulation.step import Step, World, simulate, start
 from fibercontact.simulation.strands import MODELS
 
-__all__ = [
-    "COLUMNS",
-    "CORE",
-    "LARGE",
-    "SETS",
-    "Dump",
-    "ProblemSet",
-    "dump_scene",
-    "dump_set",
-    "evenly_spaced",
-    "write_manifest",
-]
+__all__ = ["CORE", "SETS", "Dump", "ProblemSet", "dump_scene", "dump_set", "evenly_spaced", "write_manifest"]
 
 
 class ProblemSet(NamedTuple):

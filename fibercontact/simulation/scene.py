@@ -1,5 +1,6 @@
 """What a scene is: rods, rigid bodies that carry their roots and the obstacles, and the physics' constants."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -104,11 +105,13 @@ class Scene:
             np.shape(self.carrier) == (R,) and bool(np.isin(self.carrier, range(len(self.bodies))).all()),
             f"carrier: needs the index of one of the {len(self.bodies)} bodies for each of the {R} rods",
         )
-        _require(self.dt > 0 and np.isfinite(self.dt), f"dt: must be positive, not {self.dt!r}")
-        _require(self.steps >= 1, f"steps: must be at least 1, not {self.steps!r}")
-        for name in ("mu_fibres", "mu_obstacles", "margin", "skip_root"):
+        _require(0 < self.dt < math.inf, f"dt: must be positive and finite, not {self.dt!r}")
+        for name in ("steps", "segments", "max_sweeps"):
+            count = getattr(self, name)
+            _require(count >= 1, f"{name}: must be at least 1, not {count!r}")
+        for name in ("mu_fibres", "mu_obstacles", "margin", "skip_root", "tolerance"):
             value = getattr(self, name)
-            _require(value >= 0 and np.isfinite(value), f"{name}: must not be negative, not {value!r}")
+            _require(0 <= value < math.inf, f"{name}: must be finite and not negative, not {value!r}")
 
 
 def _require(condition: bool, message: str) -> None:

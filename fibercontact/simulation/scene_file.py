@@ -1,6 +1,5 @@
 """Scenes of a user's: a short TOML file, or a Python file with a function `scene()`."""
 
-import difflib
 import math
 import re
 import runpy
@@ -8,11 +7,10 @@ import tomllib
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 from fibercontact.contact.detect import detect
@@ -21,6 +19,7 @@ from fibercontact.rods.interface import rod_model
 from fibercontact.rods.model import Rods, circular_rods
 from fibercontact.simulation import scene_schema as schema
 from fibercontact.simulation.scene import STILL, Air, Body, Motion, Scene, SceneError
+from fibercontact.simulation.scene_faults import in_words
 from fibercontact.simulation.scenes import build
 from fibercontact.simulation.strands import (
     basis_of,
@@ -90,58 +89,11 @@ def _from_toml(file: Path, model: str) -> Scene:
         given = schema.SceneFile.model_validate(table)
         scene = _scene(given, file)
     except ValidationError as fault:
-        faults = "; ".join(_in_words(error, table) for error in fault.errors())
+        faults = "; ".join(in_words(error, table) for error in fault.errors())
         raise SceneError(f"{file}: {faults}") from None
     except SceneError as fault:
         raise SceneError(f"{file}: {fault}") from None
     return replace(scene, name=f"{scene.name}@{model}") if model else scene
-
-
-def _in_words(error: Any, table: Any) -> str:
-    """A fault of a key, as `key: what is wrong`."""
-    key = _key(error["loc"], table)
-    match error["type"]:
-        case "extra_forbidden":
-            near = difflib.get_close_matches(str(error["loc"][-1]), sorted(_known_keys()), n=1)
-            return f"{key}: no such key" + (f" (did you mean {near[0]}?)" if near else "")
-        case "missing":
-            return f"{key}: is missing"
-        case "union_tag_not_found":
-            return f"{key}: needs the key {error['ctx']['discriminator'].strip(chr(39))}"
-        case "union_tag_invalid":
-            what = error["ctx"]["discriminator"].strip("'")
-            return (
-                f"{key}.{what}: must be one of {error['ctx']['expected_tags']}, not {error['ctx']['tag']!r}"
-            )
-        case "list_type" if isinstance(error["input"], dict):
-            return f"{key}: is a list of tables: write [[{key}]]"
-        case _:
-            text = error["msg"].removeprefix("Value error, ").removeprefix("Input ")
-            return f"{key}: {text[0].lower()}{text[1:]}" + _given(error["input"])
-
-
-def _given(value: Any) -> str:
-    return f" (it is {value!r})" if isinstance(value, (str, int, float)) else ""
-
-
-def _key(path: tuple[str | int, ...], table: Any) -> str:
-    """The key that a path leads to; what is not in the table, but for the end, is a choice of the schema's."""
-    key = ""
-    for place, step in enumerate(path):
-        if isinstance(step, int):
-            key += f"[{step}]"
-            table = table[step] if isinstance(table, list) and step < len(table) else None
-        elif isinstance(table, dict) and (step in table or place == len(path) - 1):
-            key += f".{step}"
-            table = table.get(step)
-    return key.removeprefix(".")
-
-
-def _known_keys() -> set[str]:
-    tables = [schema.SceneFile, schema.Fibres, schema.Body, schema.Stage, schema.AirTable]
-    for union in (schema.Place, schema.Obstacle):
-        tables += get_args(get_args(union)[0])
-    return {key for table in tables if issubclass(table, BaseModel) for key in table.model_fields}
 
 
 def _scene(given: schema.SceneFile, file: Path) -> Scene:

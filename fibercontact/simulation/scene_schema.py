@@ -5,17 +5,9 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 __all__ = [
-    "Body",
-    "Bundle",
-    "Fibres",
-    "Layers",
-    "Obstacle",
-    "Place",
-    "Points",
-    "SceneFile",
-    "Sphere",
-    "Stage",
-]
+    "WORLD", "AirTable", "Body", "Bundle", "CylinderObstacle", "Fibres", "Layers", "Obstacle", "Place",
+    "PlaneObstacle", "Points", "SceneFile", "Sphere", "SphereObstacle", "Stage",
+]  # fmt: skip
 
 WORLD = "world"
 """The body that never moves."""

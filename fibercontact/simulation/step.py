@@ -1,7 +1,7 @@
-"""One step of a scene: detect, differentiate, assemble, condense, solve, move."""
+"""A scene in time. One step: detect, differentiate, assemble, condense, solve, move."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -17,12 +17,12 @@ from fibercontact.local.registry import configure, registered
 from fibercontact.problem.constrained import ConstrainedStep
 from fibercontact.problem.step import StepProblem
 from fibercontact.rods.interface import AnyState, RodModel, RodStep, System, rod_model
-from fibercontact.rods.model import RootMotion
+from fibercontact.simulation.bodies import in_motion, moved, root_motion
 from fibercontact.simulation.penalty import Penalty
-from fibercontact.simulation.scene import Body, Motion, Scene
+from fibercontact.simulation.scene import Body, Scene
 from fibercontact.simulation.watch import Watch
 
-__all__ = ["SimulationError", "Step", "World", "simulate", "start"]
+__all__ = ["SimulationError", "Step", "World", "simulate", "start", "take_step"]
 
 Array = NDArray[np.float64]
 
@@ -96,11 +96,13 @@ def take_step(scene: Scene, contact: GaussSeidel | Penalty, world: World, index:
     watch = Watch()
     end = world.time + scene.dt
     motions = [body.motion(end) for body in world.bodies]
-    obstacles = _moving_obstacles(world.bodies, motions)
+    bodies = [in_motion(body, motion) for body, motion in zip(world.bodies, motions, strict=True)]
+    obstacles = [obstacle for body in bodies for obstacle in body.obstacles]
+    before = [body.motion(world.time) for body in bodies]
+    roots = root_motion(world.state.root_position, scene.carrier, bodies, before, motions, scene.dt)
     rods = rod_model(scene.rods)
-    root_motion = _root_motion(scene, world, motions)
     drag = None if scene.air is None else scene.air.drag(end)
-    rod_step = rods.begin(world.state, root_motion, scene.gravity(end), scene.dt, drag)
+    rod_step = rods.begin(world.state, roots, scene.gravity(end), scene.dt, drag)
     _check_finite(scene, world, rod_step)
     watch.lap("rods")
     contacts = detect(
@@ -115,10 +117,10 @@ def take_step(scene: Scene, contact: GaussSeidel | Penalty, world: World, index:
         answer = _with_penalty(scene, contact, world, rods, rod_step, contacts, obstacles)
     else:
         answer = _with_contact(scene, contact, world, rods, rod_step, contacts, obstacles, watch)
-    state, bodies = answer.rod_step.end(), _moved(scene, world, motions)
-    moved = World(end, state, bodies, contacts, answer.impulses)
+    there = tuple(moved(body, motion, scene.dt) for body, motion in zip(bodies, motions, strict=True))
+    after = World(end, answer.rod_step.end(), there, contacts, answer.impulses)
     watch.lap("rods")
-    return Step(index, moved, contacts, answer.problem, answer.guess, answer.run, watch.seconds)
+    return Step(index, after, contacts, answer.problem, answer.guess, answer.run, watch.seconds)
 
 
 class _Answer(NamedTuple):
@@ -215,18 +217,6 @@ def _friction(scene: Scene, contacts: Contacts) -> Array:
     return np.where(contacts.obstacle < 0, scene.mu_fibres, scene.mu_obstacles).astype(float)
 
 
-def _moved(scene: Scene, world: World, motions: list[Motion]) -> tuple[Body, ...]:
-    """The bodies at the end of the step."""
-    return tuple(
-        replace(
-            body,
-            pivot=body.pivot + scene.dt * motion.velocity,
-            obstacles=[moving.moved(scene.dt) for moving in _of_body(body, motion)],
-        )
-        for body, motion in zip(world.bodies, motions, strict=True)
-    )
-
-
 def _contact_system(
     scene: Scene,
     rods: RodModel,
@@ -251,43 +241,6 @@ def _contact_system(
     if rods.local_support:
         system.H.eliminate_zeros()
     return system
-
-
-def _of_body(body: Body, motion: Motion) -> list[Obstacle]:
-    """The obstacles of a body, with the velocities that the body's motion gives them."""
-    return [
-        replace(
-            obstacle,
-            velocity=motion.velocity + np.cross(motion.angular_velocity, obstacle.point - body.pivot),
-            angular_velocity=motion.angular_velocity,
-        )
-        for obstacle in body.obstacles
-    ]
-
-
-def _moving_obstacles(bodies: tuple[Body, ...], motions: list[Motion]) -> list[Obstacle]:
-    return [o for body, motion in zip(bodies, motions, strict=True) for o in _of_body(body, motion)]
-
-
-def _root_motion(scene: Scene, world: World, motions: list[Motion]) -> RootMotion:
-    """Motion of the roots at the end of the step; accelerations are what changes it over the step."""
-    before = [body.motion(world.time) for body in world.bodies]
-    pivot = np.array([body.pivot for body in world.bodies])[scene.carrier]
-    arm = world.state.root_position - pivot
-
-    def of_roots(body_motions: list[Motion]) -> tuple[Array, Array]:
-        of_bodies = (np.array(x) for x in zip(*body_motions, strict=True))
-        velocity, omega = (x[scene.carrier] for x in of_bodies)
-        return velocity + np.cross(omega, arm), omega
-
-    (velocity, omega), (old_velocity, old_omega) = of_roots(motions), of_roots(before)
-    centripetal = np.cross(omega, np.cross(omega, arm))
-    return RootMotion(
-        velocity,
-        omega,
-        (velocity - old_velocity) / scene.dt + centripetal,
-        (omega - old_omega) / scene.dt,
-    )
 
 
 def _guess(world: World, contacts: Contacts, frames: Array) -> Array:

@@ -13,9 +13,16 @@ from fibercontact.rods.model import Rods, rest_state
 from fibercontact.simulation.scene import SceneError
 
 __all__ = [
-    "CURLS", "EDGES", "MODELS", "basis_of", "begin", "cap", "coefficients", "curled", "hexagonal", "level",
+    "MODELS",
+    "basis_of",
+    "begin",
+    "cap",
+    "coefficients",
+    "curled",
+    "hexagonal",
+    "level",
     "turned_frames",
-]  # fmt: skip
+]
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from fibercontact.simulation.scene import Scene
 from fibercontact.simulation.step import Step
 from fibercontact.simulation.strands import cap
 
-__all__ = ["REGIMES", "Regime", "Shown", "contact_points", "force_scale", "held", "regimes", "show"]
+__all__ = ["REGIMES", "Regime", "Shown", "force_scale", "held", "regimes", "show"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -85,13 +85,13 @@ def show(scene: Scene, step: Step) -> Shown:
         fibres=fibres,
         radius=radius,
         obstacles=[obstacle for body in world.bodies for obstacle in body.obstacles],
-        points=contact_points(fibres, scene.rods, contacts),
+        points=_contact_points(fibres, scene.rods, contacts),
         regime=regime,
         force=world.impulses / scene.dt,
     )
 
 
-def contact_points(fibres: Array, rods: AnyRods, contacts: Contacts) -> Array:
+def _contact_points(fibres: Array, rods: AnyRods, contacts: Contacts) -> Array:
     """Points (n, 3) halfway between the surfaces that touch, for polylines (R, P + 1, 3).
 
     Contacts are found at the beginning of a step: this is where the same material points are now, on polylines
