@@ -25,6 +25,7 @@ from fibercontact.local.algebra import OPEN, SLIP, STICK
 from fibercontact.local.registry import configure, registered
 from fibercontact.problem.fclib import Solution, write
 from fibercontact.problem.incremental import IncrementalProblem
+from fibercontact.simulation import scene_file
 from fibercontact.simulation.penalty import penalty_for
 from fibercontact.simulation.pictures import animation
 from fibercontact.simulation.pictures.animation import AnimationError, images, write_gif, write_mp4
@@ -578,6 +579,7 @@ def fails(*arguments):
     return result.stderr
 
 
+TEMPLATE = Path(scene_file.__file__).with_name("template.toml").read_text(encoding="utf-8")
 WISP = "wisp-straight-19-mu0.3"
 
 
@@ -597,6 +599,13 @@ def test_by_default_there_is_a_picture_and_a_page(tmp_path, monkeypatch):
     assert call(WISP, "--time", "0.0079", "--size", 120).exit_code == 0
     assert sorted(file.name for file in tmp_path.iterdir()) == [f"{WISP}.html", f"{WISP}.png"]
     assert read_page(tmp_path / f"{WISP}.html").texts["p"].startswith("step 1, 0.01 s")
+
+
+def test_pictures_of_a_scene_file_have_the_name_of_its_scene(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my.toml").write_text(TEMPLATE)
+    assert call("my.toml@clothoid", "--step", 0, "--size", 120).exit_code == 0
+    assert sorted(tmp_path.glob("my@*")) == [tmp_path / "my@clothoid.html", tmp_path / "my@clothoid.png"]
 
 
 def test_ctrl_c_draws_what_was_run(tmp_path, monkeypatch):

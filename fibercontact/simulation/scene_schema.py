@@ -52,7 +52,7 @@ class Bundle(_Table):
 
 
 class Sphere(_Table):
-    """Roots on the upper `share` of a sphere's height (1: its upper half), fibres along its normals."""
+    """Roots on a sphere, from its top down by `share` radii (1: its upper half), fibres along its normals."""
 
     pattern: Literal["sphere"]
     at: Vector = [0.0, 0.0, 0.0]
