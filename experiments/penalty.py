@@ -50,7 +50,6 @@ SEGMENTS, CONTACTS = 6, 7
 WEIGHT = DENSITY * math.pi * RADIUS**2 * LENGTH * G
 COULOMB_DT = 2e-3  # of the rod on the slope
 PLAIN_DTS, SLIP_SPEEDS, SLIP_DT = (2e-4, 5e-5), (2e-2, 2e-3), 1e-4
-TRIAL = 600  # steps in which a rod on a plane must stay where it is
 LADDER = 2 ** np.arange(0.5, -9, -0.5)  # steps of the falling fibres, in the scene's
 FALL = 0.12  # s
 COULOMB_SHARES = (1.0, 0.5, 0.25, 0.125)  # steps of the falling fibres under Coulomb's law, in the scene's
@@ -179,24 +178,28 @@ def comes_to_rest(scene: Scene, penalty: Penalty, stored: float) -> bool:
     return bool(kinetic < 1e-4 * stored)
 
 
-def largest_step(holds: Callable[[Scene, Penalty, float], bool], penalty: Penalty, near: float) -> float:
-    """Largest step that holds for the rod on a plane, by bisection."""
+def largest_step(
+    holds: Callable[[Scene, Penalty, float], bool], penalty: Penalty, near: float, trial: int
+) -> float:
+    """Largest step that holds for the rod on a plane in so many steps, by bisection."""
     overlap = WEIGHT / CONTACTS / penalty.stiffness
     low, high = near / 2, near * 2
     while high / low > 1.02:
         middle = math.sqrt(low * high)
-        scene = on_slope(0.0, overlap, middle, TRIAL)
+        scene = on_slope(0.0, overlap, middle, trial)
         low, high = (middle, high) if holds(scene, penalty, WEIGHT * overlap / 2) else (low, middle)
     return math.sqrt(low * high)
 
 
-def rod_limits(stiffness: Sequence[float]) -> pd.DataFrame:
+def rod_limits(stiffness: Sequence[float], trial: int) -> pd.DataFrame:
     rows = []
     for k in stiffness:
         scene = on_slope(0.0, WEIGHT / CONTACTS / k, COULOMB_DT, 1)
         penalty = penalty_for(scene, k)
         theory = step_limit(scene, *touching(scene), penalty)
-        rest, gain = (largest_step(holds, penalty, theory) for holds in (comes_to_rest, gains_no_energy))
+        rest, gain = (
+            largest_step(holds, penalty, theory, trial) for holds in (comes_to_rest, gains_no_energy)
+        )
         rows.append({"scene": "rod", "stiffness": k, "theory": theory, "rest": rest, "no gain": gain})
     return pd.DataFrame(rows)
 
@@ -296,13 +299,16 @@ def main() -> None:
     parser = options(__doc__)
     parser.add_argument("--time", type=float, default=0.5, help="seconds of creep")
     parser.add_argument("--stiffness", default="30,100,300,1000,3000,10000", help="of contacts, N/m")
+    parser.add_argument("--trial", type=int, default=600, help="steps in which a rod must stay where it is")
     parser.add_argument("--fibres", type=int, default=24, help="fibres that fall")
     parser.add_argument("--out", type=Path, default=Path("results/penalty"))
     given = parser.parse_args()
     table, ways = creep(given.time)
     write_table(table, given.out / "creep.csv")
     stiffness = [float(k) for k in given.stiffness.split(",")]
-    limits = pd.concat([rod_limits(stiffness), fall_limits(stiffness, given.fibres)], ignore_index=True)
+    limits = pd.concat(
+        [rod_limits(stiffness, given.trial), fall_limits(stiffness, given.fibres)], ignore_index=True
+    )
     write_table(limits, given.out / "steps.csv")
     save(draw(table, ways, limits), given.out, "penalty")
 
