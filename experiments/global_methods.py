@@ -24,7 +24,7 @@ from fibercontact.bench.figures import COLOURS, DASHES, save
 from fibercontact.bench.passes import Laid, gauss_seidel, lay_out
 from fibercontact.bench.protocol import OUTERS, Limits
 from fibercontact.bench.tables import performance_ratios
-from fibercontact.cli.solvers import split_solvers
+from fibercontact.cli.options import split_solvers
 from fibercontact.global_methods.contract import Task, Unsuited
 from fibercontact.global_methods.registry import (
     AnyConfigured,

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import fibercontact
 from fibercontact.cli import app
-from fibercontact.cli.solvers import split_solvers
+from fibercontact.cli.options import split_solvers
 from fibercontact.problem.fclib import Solution, read, write
 from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.problem.measure import measure

@@ -15,7 +15,7 @@ from numba.core import config
 from scipy.sparse import csr_array, eye_array
 from typer.testing import CliRunner
 
-from fibercontact.bench import explain, visits
+from fibercontact.bench import explain, problem_set, visits
 from fibercontact.bench.explain import (
     GROWING,
     LARGE,
@@ -599,7 +599,7 @@ def test_explain_takes_plugins_and_limits(file, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["nowhere", "pac"], "no problem 'nowhere': neither a file nor one of the"),
+        (["nowhere", "pac"], "no problem 'nowhere': no file, nor in "),
         (["stack.hdf5", "nix"], "unknown local solver 'nix' (known: dac"),
         (["stack.hdf5", "pac:nix=1"], "unknown option 'nix'"),
         (
@@ -631,15 +631,35 @@ def test_errors_of_explain_take_one_line(file, arguments, message):
 
 
 def test_problems_by_name(tmp_path, monkeypatch):
+    """In any set that is at hand, here two of the current folder; of one in both, either has the same bytes."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "problems" / "mine").mkdir(parents=True)
-    for k in range(3):
-        write(tmp_path / "problems" / "mine" / f"stack-{k}.hdf5", stack(k + 1))
-    found = find_problem("stack-1", "mine")
-    assert found.file.resolve() == tmp_path / "problems" / "mine" / "stack-1.hdf5"
-    assert find_problem("problems/mine/stack-1.hdf5").hash == found.hash
-    with pytest.raises(BenchError, match=r"'stack-9'.*one of the 3 of mine \(nearest: stack-"):
-        find_problem("stack-9", "mine")
+    for folder, sizes in (("mine", (1, 2)), ("yours", (2, 3))):
+        (tmp_path / "problems" / folder).mkdir(parents=True)
+        for n in sizes:
+            write(tmp_path / "problems" / folder / f"stack-{n}.hdf5", stack(n))
+    places = [find_problem(f"stack-{n}").file.resolve().parent.name for n in (1, 2, 3)]
+    assert places == ["mine", "mine", "yours"]
+    assert find_problem("problems/mine/stack-1.hdf5").hash == find_problem("stack-1").hash
+    said = r"'stack-9': no file, nor in .*problems/mine, problems/yours \(nearest: stack-"
+    with pytest.raises(BenchError, match=said):
+        find_problem("stack-9")
+
+
+def test_outside_a_clone_problems_are_found_in_the_package(tmp_path, monkeypatch):
+    """An installed package holds one set; without any, that is what is said."""
+    package, away = tmp_path / "site-packages" / "fibercontact", tmp_path / "away"
+    away.mkdir()
+    monkeypatch.chdir(away)
+    monkeypatch.setattr(problem_set, "__file__", str(package / "bench" / "problem_set.py"))
+    with pytest.raises(BenchError, match="'stack-1': no file, and no set of problems is here"):
+        find_problem("stack-1")
+    (package / "data" / "sample").mkdir(parents=True)
+    write(package / "data" / "sample" / "stack-1.hdf5", stack(1))
+    assert find_problem("stack-1").file.parent == package / "data" / "sample"
+    with pytest.raises(
+        BenchError, match=rf"'nix': no file, nor in {package}/data/sample \(nearest: stack-1\)"
+    ):
+        find_problem("nix")
 
 
 # The page that explains it

@@ -16,7 +16,7 @@ from scipy.sparse import csr_array, eye_array
 from typer.testing import CliRunner
 
 from fibercontact.bench.html_report import page as module
-from fibercontact.bench.html_report.choice import chosen, locate, named, shelves
+from fibercontact.bench.html_report.choice import chosen, locate, named
 from fibercontact.bench.html_report.figures import (
     Curve,
     accuracies_figure,
@@ -34,7 +34,7 @@ from fibercontact.bench.html_report.portraits import Portrait, strictest
 from fibercontact.bench.html_report.rods import rods_of
 from fibercontact.bench.html_report.runs import renamed, reported
 from fibercontact.bench.html_report.tables import headline_table, side_by_side
-from fibercontact.bench.problem_set import entry_of, find_problem
+from fibercontact.bench.problem_set import entry_of, find_problem, known_sets
 from fibercontact.bench.protocol import BenchError
 from fibercontact.bench.record import Asked, write_asked
 from fibercontact.bench.report import make_report, number
@@ -378,7 +378,7 @@ def test_a_file_is_found_by_its_name_and_hash_alone(tmp_path):
 
 
 def test_the_sets_of_the_checkout_are_searched():
-    assert find_problem("comb-curly-91-mu1-001").file.parent in shelves()
+    assert find_problem("comb-curly-91-mu1-001").file.parent in known_sets()
 
 
 def test_the_rods_of_a_problem_of_ours_are_drawn():

@@ -11,13 +11,12 @@ from pathlib import Path
 import pytest
 from report_rows import PROBLEMS, RUNS, SOLVERS, row, rows, write_run
 
-from fibercontact.bench.html_report.choice import shelves
 from fibercontact.bench.html_report.figures import Curve
 from fibercontact.bench.html_report.page import Shown, write_page
 from fibercontact.bench.html_report.portraits import Portrait, portraits
 from fibercontact.bench.html_report.rods import Rods, rods_of
 from fibercontact.bench.html_report.runs import reported
-from fibercontact.bench.problem_set import find_problem
+from fibercontact.bench.problem_set import find_problem, known_sets
 from fibercontact.bench.report import number
 
 ROOT = Path(__file__).parents[1]
@@ -261,7 +260,7 @@ def core(tmp_path_factory):
     """The page of the committed run, a problem of it looked at closely."""
     run = reported(ROOT / "results" / "core306")
     scene = find_problem("comb-curly-91-mu1-001")
-    closely = portraits(run, [scene.hash], shelves(), [], rods=1, tick=print)
+    closely = portraits(run, [scene.hash], known_sets(), [], rods=1, tick=print)
     file = tmp_path_factory.mktemp("core") / "page.html"
     write_page([Shown(run, closely)], file)
     return file

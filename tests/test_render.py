@@ -680,7 +680,7 @@ def test_a_scene_that_poses_another_problem_is_told(tmp_path):
         ([WISP, "--time", "0.1", "--step", "3"], "--step or --time, not both"),
         ([WISP, "--rods"], "--rods is for problems"),
         (["wisp-straight"], "unknown scene 'wisp-straight' (known: "),
-        (["wisp-straight"], "no problem 'wisp-straight': neither a file nor one of the 306 of core306"),
+        (["wisp-straight"], "no problem 'wisp-straight': no file, nor in "),
         (["nowhere.hdf5"], "no problem 'nowhere.hdf5'"),
         (["p.hdf5", "--out", "a.gif"], "a.gif: a problem does not move; with --rods its scene does"),
         (["p.hdf5", "--step", "3"], "--step and --time are for scenes"),

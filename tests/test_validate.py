@@ -16,12 +16,10 @@ from fibercontact.bench.validate import (
     STICK,
     associated_model,
     contender,
-    reference_table,
     regimes,
-    solver_table,
     validate,
-    write_report,
 )
+from fibercontact.bench.validate_report import reference_table, solver_table, write_report
 from fibercontact.cli.validate import validate as command
 from fibercontact.local.registry import configure, registered
 from fibercontact.problem.fclib import write

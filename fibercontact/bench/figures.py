@@ -18,7 +18,7 @@ from matplotlib.transforms import Bbox
 from fibercontact.bench.protocol import PUBLISHED
 from fibercontact.files import replacing
 
-__all__ = ["draw_failures", "draw_profile", "save"]
+__all__ = ["COLOURS", "DASHES", "MARKERS", "draw_failures", "draw_profile", "save", "style_of"]
 
 COLOURS = ("#000000", "#e69f00", "#56b4e9", "#009e73", "#0072b2", "#d55e00", "#cc79a7", "#8c6d31")
 """Okabe and Ito's palette, to be told apart by colour-blind readers (its yellow replaced by a brown)."""
@@ -45,8 +45,8 @@ def draw_profile(ratios: pd.DataFrame, title: str) -> Figure:
             [1.0, *at, end],
             [0.0, *share, share[-1] if len(share) else 0.0],
             where="post",
-            color=COLOURS[k % len(COLOURS)],
-            linestyle=DASHES[(k + k // len(COLOURS)) % len(DASHES)],
+            color=style_of(k).colour,
+            linestyle=style_of(k).dash,
             linewidth=1.8,
             label=solver,
         )
@@ -106,6 +106,20 @@ def _log_axis(axes: Axes, low: float, high: float) -> None:
     axes.xaxis.set_minor_formatter(NullFormatter())
 
 
+class Style(NamedTuple):
+    """How a solver is drawn."""
+
+    colour: str
+    dash: str
+    marker: str
+
+
+def style_of(k: int) -> Style:
+    """The style of the k-th solver: no two alike among the first `len(COLOURS) * len(DASHES)`."""
+    turn = k + k // len(COLOURS)
+    return Style(COLOURS[k % len(COLOURS)], DASHES[turn % len(DASHES)], MARKERS[turn % len(MARKERS)])
+
+
 class Point(NamedTuple):
     """A marker of the figure of failures, with its name."""
 
@@ -121,7 +135,7 @@ class Point(NamedTuple):
 def _our_points(table: pd.DataFrame) -> Iterator[Point]:
     for k, (solver, line) in enumerate(table.iterrows()):
         if np.isfinite(line["time_geo_ms"]):
-            colour, marker = _style(k)
+            colour, _, marker = style_of(k)
             yield Point(
                 str(solver), line["time_geo_ms"], line["failure_percent"], marker, colour, colour, False
             )
@@ -137,7 +151,7 @@ def _published_points(table: pd.DataFrame) -> Iterator[Point]:
         published = PUBLISHED.get(str(solver))
         if published is not None and published not in drawn:
             drawn.add(published)
-            colour, marker = _style(k)
+            colour, _, marker = style_of(k)
             x, y = scale * published.milliseconds, published.failure_percent
             yield Point(published.name, x, y, marker, colour, "none", True)
 
@@ -153,10 +167,6 @@ def _published_note(table: pd.DataFrame) -> str:
         return ""
     name = PUBLISHED[reference].name
     return f"\nhollow: the 2014 talk (arithmetic means), times scaled so that {name} lies at {reference}"
-
-
-def _style(k: int) -> tuple[str, str]:
-    return COLOURS[k % len(COLOURS)], MARKERS[(k + k // len(COLOURS)) % len(MARKERS)]
 
 
 def _label(figure: Figure, axes: Axes, points: Sequence[Point]) -> None:

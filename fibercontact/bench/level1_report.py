@@ -10,11 +10,12 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from fibercontact.bench import markdown
 from fibercontact.bench.contact_verdict import INACCURATE_ANSWER
 from fibercontact.bench.environment import cpu_model, versions
-from fibercontact.bench.figures import COLOURS, MARKERS, save
+from fibercontact.bench.figures import save, style_of
 from fibercontact.bench.level1 import Measured
-from fibercontact.bench.report import IDLE_LOAD, number, pipes
+from fibercontact.bench.report import IDLE_LOAD, number
 from fibercontact.bench.tables import tally
 from fibercontact.files import replace_file
 
@@ -209,9 +210,12 @@ def write_report(measured: Measured, counts: Mapping[str, int], folder: Path) ->
 
 
 def _markdown(grid: Grid) -> Iterator[str]:
-    yield from (f"**{grid.title}**", "", pipes(grid.cells.columns), pipes("---" for _ in grid.cells.columns))
-    yield from (pipes(line) for line in grid.cells.itertuples(index=False))
-    yield ""
+    yield from (
+        f"**{grid.title}**",
+        "",
+        *markdown.grid(grid.cells.columns, grid.cells.itertuples(index=False)),
+        "",
+    )
 
 
 def _bullets(sentences: Sequence[str]) -> Iterator[str]:
@@ -240,8 +244,9 @@ def _draw_rates(axes: Any, rows: pd.DataFrame) -> None:
     for k, solver in enumerate(solvers):
         percent = rows[rows["solver"] == solver].set_index("stratum")["failure_percent"].reindex(order)
         aside = 0.07 * (k - (len(solvers) - 1) / 2)
-        style = {"color": COLOURS[k % len(COLOURS)], "marker": MARKERS[k % len(MARKERS)]}
-        axes.plot(np.arange(len(order)) + aside, percent, label=solver, linewidth=1.0, markersize=5, **style)
+        colour, _, marker = style_of(k)
+        x = np.arange(len(order)) + aside
+        axes.plot(x, percent, label=solver, linewidth=1.0, markersize=5, color=colour, marker=marker)
     axes.set_xticks(range(len(order)), order, fontsize=8)
     axes.set_yscale("symlog", linthresh=0.01)
     axes.set_ylim(-0.003, 150.0)

@@ -6,13 +6,10 @@ from typing import Any
 
 from fibercontact.bench.protocol import GLOBAL, BenchError
 from fibercontact.bench.record import Asked, Record, write_asked
-from fibercontact.bench.rows import ROWS, TIMED, Key, Row, but_for_clocks, lines
+from fibercontact.bench.rows import ROWS, SETTING, TIMED, Key, Row, but_for_clocks, lines
 from fibercontact.files import replace_file
 
 __all__ = ["merge"]
-
-PROTOCOL_FIELDS = ("protocol", "code", "start", "max_sweeps", "max_seconds")
-"""What all rows must have in common; beside it the outer loop, a solver's sources, and how times were taken."""
 
 
 def merge(runs: Sequence[Record], folder: Path) -> int:
@@ -54,7 +51,7 @@ def _protocol(runs: Sequence[Record]) -> dict[str, dict[Path, Any]]:
 
 def _fields(row: Row) -> list[tuple[str, str]]:
     """What a row says of its protocol."""
-    said = {name: row[name] for name in PROTOCOL_FIELDS}
+    said = {name: row[name] for name in SETTING}
     said[f"sources of {row['solver']}"] = row["fingerprint"]
     if row["outer"] != GLOBAL:
         said["outer"] = row["outer"]

@@ -8,12 +8,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fibercontact.bench.protocol import BenchError
+from fibercontact.problem.constrained import ConstrainedStep
 from fibercontact.problem.fclib import read
 from fibercontact.problem.incremental import IncrementalProblem
+from fibercontact.problem.step import StepProblem
 from fibercontact.reference.existence import UNSOLVABLE
 from fibercontact.reference.store import Store, references_file
 
-__all__ = ["Entry", "entry_of", "find_file", "find_problem", "find_set", "limited", "load_set", "origin"]
+__all__ = [
+    "Entry", "content_hash", "entry_of", "find_file", "find_problem", "find_set", "known_sets", "limited", "load_set",
+    "origin", "problem_files",
+]  # fmt: skip
 
 MANIFEST = "manifest.csv"
 SUFFIXES = (".hdf5", ".h5")
@@ -37,28 +42,31 @@ class Entry:
 
 def find_set(name: str) -> Path:
     """Folder of a set: a path, or a name: in `problems/` of the checkout or the current folder, or in the package."""
-    candidates = _candidates(name)
-    for folder in candidates:
+    for folder in (Path(name), *(shelf / name for shelf in _shelves())):
         if folder.is_dir():
             return folder
-    shelves = {candidate.parent for candidate in candidates[1:] if candidate.parent.is_dir()}
-    known = sorted({folder.name for shelf in shelves for folder in shelf.iterdir() if folder.is_dir()})
-    raise BenchError(f"no set of problems {name!r}: not a folder (known sets: {', '.join(known) or 'none'})")
+    known = ", ".join(sorted({folder.name for folder in known_sets()}))
+    raise BenchError(f"no set of problems {name!r}: not a folder (known sets: {known or 'none'})")
 
 
 def find_file(name: str) -> Path:
     """A file by its path, or by its name in `problems/` of the checkout or of the current folder."""
-    for path in _candidates(name):
+    for path in (Path(name), *(shelf / name for shelf in _shelves())):
         if path.is_file():
             return path
     raise BenchError(f"no such file: {name!r}, nor in problems/")
 
 
-def _candidates(name: str) -> list[Path]:
-    """Where a name of the user's may be."""
+def known_sets() -> list[Path]:
+    """Folders of the sets that have a name."""
+    return [folder for shelf in _shelves() for folder in sorted(shelf.iterdir()) if folder.is_dir()]
+
+
+def _shelves() -> list[Path]:
+    """Folders of sets that are there: of the checkout, of the current folder, of the package."""
     package = Path(__file__).parents[1]
     shelves = package.parent / "problems", Path("problems"), package / "data"
-    return [Path(name), *(shelf / name for shelf in shelves)]
+    return [shelf for shelf in shelves if shelf.is_dir()]
 
 
 def load_set(folder: Path) -> list[Entry]:
@@ -69,7 +77,7 @@ def load_set(folder: Path) -> list[Entry]:
     content is not the one whose hash the manifest holds.
     """
     manifest = folder / MANIFEST
-    entries = _listed(manifest) if manifest.is_file() else _found(folder)
+    entries = _listed(manifest) if manifest.is_file() else [entry_of(file) for file in problem_files(folder)]
     if not entries:
         raise BenchError(f"{folder}: no FCLIB files ({', '.join('*' + s for s in SUFFIXES)}) in it")
     seen: dict[str, Entry] = {}
@@ -86,33 +94,30 @@ def entry_of(file: Path) -> Entry:
     return Entry(file, file.parent.resolve().name, _sha256(file)[:HASH_DIGITS])
 
 
-def find_problem(name: str, problems: str = "core306") -> Entry:
-    """A problem by its file, or by its name in a set; raises `BenchError` naming the nearest names."""
+def find_problem(name: str) -> Entry:
+    """A problem by its file, or by its name in a known set; raises `BenchError` naming sets and nearest names."""
     if Path(name).is_file():
         return entry_of(Path(name))
-    folder = find_set(problems)
-    files = {file.stem: file for file in sorted(folder.iterdir()) if file.suffix in SUFFIXES}
+    sets = known_sets()
+    files = {file.stem: file for folder in reversed(sets) for file in problem_files(folder)}
     if name in files:
         return entry_of(files[name])
     near = difflib.get_close_matches(name, files, n=3, cutoff=0.0)
-    raise BenchError(
-        f"no problem {name!r}: neither a file nor one of the {len(files)} of {folder.name} "
-        f"(nearest: {', '.join(near)})"
-    )
+    looked = f"nor in {', '.join(map(str, sets))} (nearest: {', '.join(near) or 'none'})"
+    raise BenchError(f"no problem {name!r}: no file, {looked if sets else 'and no set of problems is here'}")
+
+
+def problem_files(folder: Path) -> list[Path]:
+    """The FCLIB files in a folder, by name."""
+    return sorted(file for file in folder.iterdir() if file.suffix in SUFFIXES)
 
 
 def origin(entry: Entry) -> tuple[str, int]:
     """The scene and the step that a problem is from, by the manifest beside it; raises `BenchError` without one."""
     manifest = entry.file.parent / MANIFEST
-    if manifest.is_file():
-        with manifest.open(newline="", encoding="utf-8") as stream:
-            for line in csv.DictReader(stream):
-                if (
-                    line.get("file") == entry.file.name
-                    and line.get("scene")
-                    and (line.get("step") or "").isdigit()
-                ):
-                    return line["scene"], int(line["step"])
+    for line in _lines(manifest) if manifest.is_file() else ():
+        if line.get("file") == entry.file.name and line.get("scene") and (line.get("step") or "").isdigit():
+            return line["scene"], int(line["step"])
     raise BenchError(f"{entry.file}: no {MANIFEST} beside it tells the scene and the step it is from")
 
 
@@ -132,15 +137,16 @@ def _proved(entry: Entry, store: Store) -> Entry:
     )
 
 
-def _found(folder: Path) -> list[Entry]:
-    files = sorted(file for file in folder.iterdir() if file.suffix in SUFFIXES)
-    return [entry_of(file) for file in files]
-
-
 def _listed(manifest: Path) -> list[Entry]:
-    with manifest.open(newline="", encoding="utf-8") as stream:
-        lines = list(csv.DictReader(stream))
-    return [_entry(manifest, number, line) for number, line in enumerate(lines, start=2)]
+    return [_entry(manifest, number, line) for number, line in enumerate(_lines(manifest), start=2)]
+
+
+def _lines(manifest: Path) -> list[dict[str, str]]:
+    try:
+        with manifest.open(newline="", encoding="utf-8") as stream:
+            return list(csv.DictReader(stream))
+    except (ValueError, csv.Error) as fault:  # of its bytes, of its fields
+        raise BenchError(f"{manifest}: not readable ({fault})") from None
 
 
 def _entry(manifest: Path, number: int, line: dict[str, str]) -> Entry:
@@ -149,8 +155,8 @@ def _entry(manifest: Path, number: int, line: dict[str, str]) -> Entry:
     file = manifest.parent / line["file"]
     if not file.is_file():
         raise BenchError(f"{manifest}: {line['file']} is listed but not there")
-    found, expected = _sha256(file), line.get("hash")
-    if expected and expected != found[: len(expected)] and expected != _content_hash(file)[: len(expected)]:
+    found, expected = _sha256(file), line.get("hash") or ""
+    if not found.startswith(expected) and not content_hash(read(file).problem).startswith(expected):
         raise BenchError(
             f"{file}: its content is not the one that the manifest lists (hash {expected[:16]}…)"
         )
@@ -164,7 +170,6 @@ def _sha256(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def _content_hash(file: Path) -> str:
-    """Hash of the incremental problem in a file: for manifests that name the problem, not the file."""
-    problem = read(file).problem
+def content_hash(problem: IncrementalProblem | StepProblem | ConstrainedStep) -> str:
+    """Hash of the incremental problem, whatever it is posed as."""
     return (problem if isinstance(problem, IncrementalProblem) else problem.condense()).content_hash()

@@ -17,7 +17,7 @@ from fibercontact.bench.protocol import BenchError
 from fibercontact.bench.rows import ROWS, Key, Row, RowFile
 from fibercontact.files import replace_file
 
-__all__ = ["Asked", "Record", "find_runs", "read_run", "write_asked", "write_plan"]
+__all__ = ["TEXTS", "Asked", "Record", "find_runs", "read_run", "write_asked", "write_plan"]
 
 ASKED = "run.json"
 """What a run was asked, in its folder: the last command's plan, or the plans of the runs merged in it."""

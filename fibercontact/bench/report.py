@@ -10,6 +10,7 @@ from typing import Any
 import pandas as pd
 
 from fibercontact.bench.figures import draw_failures, draw_profile, save
+from fibercontact.bench.markdown import grid
 from fibercontact.bench.protocol import ACCURACIES, GLOBAL, BenchError
 from fibercontact.bench.rows import TIMED, Row
 from fibercontact.bench.tables import (
@@ -25,7 +26,7 @@ from fibercontact.bench.tables import (
 from fibercontact.files import replace_file
 from fibercontact.reference.existence import UNSOLVABLE
 
-__all__ = ["Report", "View", "make_report", "number", "pipes", "write_report"]
+__all__ = ["Report", "View", "make_report", "number", "shown_rows", "write_report"]
 
 IDLE_LOAD = 0.5
 """Mean number of other running processes above which something ran beside the measurement."""
@@ -63,11 +64,11 @@ class Report:
 
 
 def make_report(rows: Sequence[Row], solvers: Sequence[str]) -> Report:
-    """Aggregate rows: a view for each timed accuracy, or for each one when nothing was timed.
+    """Aggregate the rows that are shown: a view for each timed accuracy, or for each one when nothing was timed.
 
     Raises `BenchError` when all problems are proved unsolvable.
     """
-    frame = to_frame(rows)
+    frame = to_frame(shown_rows(rows))
     if rated(frame).empty:
         raise BenchError("nothing to rate: every problem is proved unsolvable")
     rank = {
@@ -84,6 +85,12 @@ def make_report(rows: Sequence[Row], solvers: Sequence[str]) -> Report:
     shown = timed if len(timed) else frame
     views = [_view(group, solvers, frame) for _, group in shown.groupby("accuracy", sort=False)]
     return Report(frame, views)
+
+
+def shown_rows(rows: Sequence[Row]) -> list[Row]:
+    """The rows without those of the passes that came before timed ones."""
+    timed = {row["accuracy"] for row in rows if row["mode"] == TIMED}
+    return [row for row in rows if row["mode"] == TIMED or row["accuracy"] not in timed]
 
 
 def _view(rows: pd.DataFrame, solvers: Sequence[str], every: pd.DataFrame) -> View:
@@ -230,28 +237,17 @@ def number(value: float) -> str:
     return f"{value:.1e}"
 
 
-def _pairs(first: pd.Series, second: pd.Series) -> list[str]:
-    return [f"{number(a)} / {number(b)}" for a, b in zip(first, second, strict=True)]
-
-
 def markdown(view: View) -> str:
     """The table in Markdown, its notes below."""
-    cells = display(view).reset_index()
-    lines = [f"**{view.title}**", "", *_grid(cells), "", *(f"* {note}" for note in view.notes), ""]
+    lines = [f"**{view.title}**", "", *_grid(display(view)), "", *(f"* {note}" for note in view.notes), ""]
     if len(models := by_rods(view)):
-        lines += [f"**{BY_RODS}**", "", *_grid(models.reset_index()), ""]
+        lines += [f"**{BY_RODS}**", "", *_grid(models), ""]
     return "\n".join(lines)
 
 
-def _grid(cells: pd.DataFrame) -> list[str]:
-    """The lines of a Markdown table."""
-    head = [pipes(cells.columns), pipes("---" for _ in cells.columns)]
-    return head + [pipes(line) for line in cells.itertuples(index=False)]
-
-
-def pipes(cells: Iterable[Any]) -> str:
-    """A line of a Markdown table."""
-    return "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"
+def _grid(table: pd.DataFrame) -> list[str]:
+    cells = table.reset_index()
+    return grid(cells.columns, cells.itertuples(index=False))
 
 
 def latex(view: View) -> str:

@@ -4,6 +4,7 @@ import json
 import math
 import os
 import platform
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -17,6 +18,7 @@ __all__ = [
     "CLOCKS",
     "RATES",
     "ROWS",
+    "SETTING",
     "TIMED",
     "Key",
     "Row",
@@ -24,6 +26,7 @@ __all__ = [
     "but_for_clocks",
     "lines",
     "move_away",
+    "writer",
 ]
 
 Row = dict[str, Any]
@@ -32,6 +35,12 @@ TIMED, RATES = "timed", "rates"
 
 ROWS, LOCK = "rows.jsonl", "run.lock"
 """Files of a run's folder: its rows, and what keeps a second run out of it."""
+
+ASKED_SECONDS = 0.05
+"""After which nobody who asks whether a run goes on holds its lock any more."""
+
+SETTING = ("protocol", "code", "start", "max_sweeps", "max_seconds")
+"""What all rows of one table have in common, beside the outer loop, a solver's sources, and how times were taken."""
 
 CLOCKS = ("time_best", "time_median", "times", "setup_seconds", "load", "stamp", "cpu", "memory_limit")
 """What may differ between two rows of the same measurement: clocks, and the machine that they were on."""
@@ -64,10 +73,9 @@ class Key:
     @classmethod
     def of(cls, row: Mapping[str, Any]) -> "Key | None":
         """The key of a row, None when the row is of another shape."""
-        names = cls.__dataclass_fields__
-        if not all(name in row for name in names):
+        given: Row = {name: row.get(name) for name in cls.__dataclass_fields__}
+        if not all(isinstance(value, str | int | float) for value in given.values()):
             return None
-        given = {name: row[name] for name in names}
         return cls(**given if row["mode"] == TIMED else given | {"cpu": ""})
 
     @property
@@ -176,17 +184,30 @@ def _locked(folder: Path) -> Iterator[None]:
         yield
 
 
-def _lock(descriptor: int) -> bool:
-    """Whether the lock on an open file is ours now."""
+def writer(folder: Path) -> str:
+    """The process that is writing to a run's folder now, empty when none is."""
+    try:
+        with (folder / LOCK).open(encoding="utf-8") as stream:
+            return "" if _lock(stream.fileno(), shared=True) else stream.read().strip()
+    except FileNotFoundError:
+        return ""
+
+
+def _lock(descriptor: int, shared: bool = False) -> bool:
+    """Whether the lock on an open file is ours now: alone, or with others who only ask."""
     try:
         import fcntl
     except ImportError:  # not a POSIX system: nothing to lock with
         return True
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True
+    how = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
+    for left in (True, False):
+        try:
+            fcntl.flock(descriptor, how | fcntl.LOCK_NB)
+        except OSError:
+            time.sleep(ASKED_SECONDS * left)  # somebody may only have asked
+        else:
+            return True
+    return False
 
 
 def move_away(folder: Path) -> Path | None:

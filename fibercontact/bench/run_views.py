@@ -8,7 +8,7 @@ import pandas as pd
 
 from fibercontact.bench.record import Record
 from fibercontact.bench.report import MACHINE
-from fibercontact.bench.rows import Key
+from fibercontact.bench.rows import Key, writer
 
 __all__ = ["listing", "progress", "sheet"]
 
@@ -27,6 +27,7 @@ def listing(runs: Sequence[Record], folder: Path) -> pd.DataFrame:
             "problems": str(len(run.values("problem_hash"))),
             "solvers": str(len(run.values("solver"))),
             "rows": progress(run),
+            "now": f"measuring: {who}" if (who := writer(run.folder)) else "–",
             "machine": _told(run.values("cpu")),
         }
         for run in runs

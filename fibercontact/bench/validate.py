@@ -11,18 +11,13 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-import pandas as pd
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import fibercontact
-from fibercontact.bench.figures import COLOURS, MARKERS, save
 from fibercontact.bench.passes import gauss_seidel, judge, lay_out, options_text
 from fibercontact.bench.problem_set import Entry
 from fibercontact.bench.protocol import ACCURACIES, Limits
-from fibercontact.bench.report import number
 from fibercontact.bench.rows import Row, RowFile
-from fibercontact.files import replace_file
 from fibercontact.jit import content_key
 from fibercontact.local.registry import Configured
 from fibercontact.problem.fclib import read
@@ -32,7 +27,6 @@ from fibercontact.reference.conic import Problem, associated, condensed, duality
 from fibercontact.reference.distance import friction_work, velocity_error
 from fibercontact.reference.ground_truth import GroundTruth, Search
 from fibercontact.reference.store import Store
-from fibercontact.reference.truth import NONE
 
 __all__ = [
     "ASSOCIATED",
@@ -45,13 +39,8 @@ __all__ = [
     "associated_model",
     "compare",
     "contender",
-    "draw_errors",
-    "notes",
-    "reference_table",
     "regimes",
-    "solver_table",
     "validate",
-    "write_report",
 ]
 
 Array = NDArray[np.float64]
@@ -63,7 +52,6 @@ SMALL_GAP = 1e-8
 """Relative duality gap up to which the convex model counts as solved."""
 OPEN, STICK, SLIP = 0, 1, 2
 RESOLUTION = 1e-3  # share of b_ref below which a speed does not make a regime
-TINY = 1e-16  # what a zero is drawn as
 
 
 class Listener(Protocol):
@@ -239,115 +227,3 @@ def regimes(problem: IncrementalProblem, u: Array) -> NDArray[np.int64]:
     u, least = u.reshape(-1, 3), RESOLUTION * (problem.b_ref or 1.0)
     slides = np.where(np.hypot(u[:, 1], u[:, 2]) > least, SLIP, STICK)
     return np.where(u[:, 0] > least, OPEN, slides)
-
-
-SOLVER_COLUMNS = [
-    "solver",
-    "law",
-    "solved",
-    "Coulomb residual: median / largest",
-    "velocity error: median / 9 of 10 below / largest",
-    "same regime (%)",
-    "work of friction off by (median)",
-]
-
-
-def solver_table(comparison: Comparison) -> pd.DataFrame:
-    """One line a solver, in text; velocities, regimes and work over the problems that have a reference."""
-    by_solver = _frame(comparison).groupby("solver", sort=False)
-    lines = [_solver_line(str(name), rows) for name, rows in by_solver]
-    return pd.DataFrame(lines, columns=SOLVER_COLUMNS)
-
-
-def _solver_line(name: str, rows: pd.DataFrame) -> list[str]:
-    coulomb, error = rows["coulomb"], rows["velocity_error"]
-    return [
-        name,
-        rows["law"].iloc[0],
-        f"{rows['solved'].sum():.0f}/{len(rows)}",
-        _numbers(coulomb.median(), coulomb.max()),
-        _numbers(error.median(), error.quantile(0.9), error.max()),
-        _numbers(100.0 * rows["same_regime"].mean()),
-        _numbers(rows["friction_work_error"].median()),
-    ]
-
-
-def _numbers(*values: Any) -> str:
-    return " / ".join(number(float(value)) for value in values)
-
-
-def reference_table(comparison: Comparison) -> pd.DataFrame:
-    """One line a problem, in text: its reference, `none` where there is none."""
-    lines = [
-        [
-            row["problem"],
-            str(row["contacts"]),
-            row["existence"],
-            row["reference"],
-            number(row["residual"]),
-            str(row["solutions"]),
-        ]
-        for row in comparison.references
-    ]
-    return pd.DataFrame(
-        lines, columns=["problem", "contacts", "existence", "reference", "residual", "solutions"]
-    )
-
-
-def _frame(comparison: Comparison) -> pd.DataFrame:
-    """Tidy rows; what is not known is NaN."""
-    frame = pd.DataFrame(list(comparison.rows))
-    for name in ("coulomb", "velocity_error", "same_regime", "friction_work_error", "solved"):
-        frame[name] = pd.to_numeric(frame[name]) if name in frame else np.nan
-    return frame
-
-
-def notes(comparison: Comparison) -> list[str]:
-    """What must be said beside the tables."""
-    without = [row["problem"] for row in comparison.references if row["reference"] == NONE]
-    found = len(comparison.references) - len(without)
-    said = [
-        f"{found} of {len(comparison.references)} problems have a reference; velocity error, regime and work "
-        "are over these",
-        "velocity error: kinetic-energy norm of the difference, relative to the reference",
-    ]
-    if without:
-        said.append(f"no reference ({NONE}): {', '.join(without)}")
-    return [*said, *comparison.skipped]
-
-
-def write_report(comparison: Comparison, folder: Path) -> list[Path]:
-    """Write rows (CSV), both tables (Markdown) and the figure (SVG, PNG); returns the files."""
-    replace_file(folder / "rows.csv", _frame(comparison).to_csv(index=False).encode())
-    tables = [_markdown(solver_table(comparison)), _markdown(reference_table(comparison))]
-    remarks = "".join(f"* {note}\n" for note in notes(comparison))
-    replace_file(folder / "validation.md", "\n".join([tables[0], remarks, tables[1]]).encode())
-    save(draw_errors(_frame(comparison)), folder, "velocity_error")
-    names = ("rows.csv", "validation.md", "velocity_error.svg", "velocity_error.png")
-    return [folder / name for name in names]
-
-
-def _markdown(table: pd.DataFrame) -> str:
-    lines: list[Any] = [table.columns, ["---"] * table.shape[1], *table.itertuples(index=False)]
-    return "".join("| " + " | ".join(map(str, line)) + " |\n" for line in lines)
-
-
-def draw_errors(rows: pd.DataFrame) -> Figure:
-    """Velocity error against Coulomb residual, a marker a problem and solver; zeros are drawn at 1e-16."""
-    figure = Figure(figsize=(7.5, 5.0), layout="constrained")
-    axes = figure.add_subplot()
-    for k, (solver, mine) in enumerate(rows.dropna(subset="velocity_error").groupby("solver", sort=False)):
-        axes.plot(
-            np.maximum(mine["coulomb"], TINY),
-            np.maximum(mine["velocity_error"], TINY),
-            MARKERS[(k + k // len(COLOURS)) % len(MARKERS)],
-            color=COLOURS[k % len(COLOURS)],
-            markersize=5,
-            markerfacecolor="none",
-            label=solver,
-        )
-    axes.set(xscale="log", yscale="log", xlabel="Coulomb residual", ylabel="relative velocity error")
-    axes.grid(which="major", color="0.9")
-    if axes.has_data():
-        axes.legend(fontsize=9)
-    return figure

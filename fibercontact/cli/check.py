@@ -26,7 +26,7 @@ def check(
         ),
     ],
     seconds: Annotated[
-        float, typer.Option(help="What a check may take before the solver is killed.", min=0.1)
+        float, typer.Option(help="What a check may take before the solver is killed.", min=0.1, max=1e6)
     ] = 10.0,
     out: Annotated[
         Path | None,

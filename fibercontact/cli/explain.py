@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fibercontact.bench.protocol import ACCURACIES, OUTERS, STARTS
-from fibercontact.cli.errors import check_known, user_errors
-from fibercontact.cli.solvers import Plugins
+from fibercontact.bench.protocol import OUTERS
+from fibercontact.cli.errors import user_errors
+from fibercontact.cli.options import Accuracy, MaxSeconds, Outer, Plugins, Start, check_protocol
 
 if TYPE_CHECKING:
     from fibercontact.bench.explain import Facts
@@ -24,15 +24,15 @@ WIDTH = 100
 def explain(
     context: typer.Context,
     problem: Annotated[
-        str, typer.Argument(metavar="PROBLEM", help="An FCLIB file, or a problem of core306.")
+        str, typer.Argument(metavar="PROBLEM", help="An FCLIB file, or the name of a problem of a set.")
     ],
     solver: Annotated[str, typer.Argument(metavar="SOLVER", help="Local solver, `NAME[:option=value,...]`.")],
-    accuracy: Annotated[str, typer.Option(help=f"{', '.join(ACCURACIES)}.")] = "mid",
-    start: Annotated[str, typer.Option(help="cold (zero) or guess (the file's first).")] = "cold",
-    outer: Annotated[str, typer.Option(help="Gauss–Seidel: plain, accelerated or robust.")] = "plain",
+    accuracy: Accuracy = "mid",
+    start: Start = "cold",
+    outer: Outer = "plain",
     plugin: Plugins = None,
     max_sweeps: Annotated[int, typer.Option(help="Sweeps at most.", min=0)] = 5000,
-    max_seconds: Annotated[float, typer.Option(help="Seconds a run at most.", min=0)] = 30.0,
+    max_seconds: MaxSeconds = 30.0,
     log: Annotated[
         Path | None,
         typer.Option(metavar="LOG.hdf5", help="Explain this log of `--log visits`, at what it ran with."),
@@ -49,9 +49,7 @@ def explain(
     Example: fibercontact explain comb-wavy-61-mu0.5-249 pac
     """
     with user_errors():
-        check_known("accuracy", [accuracy], list(ACCURACIES))
-        check_known("start", [start], STARTS)
-        check_known("outer loop", [outer], OUTERS)
+        check_protocol([accuracy], start, outer)
         _check_alone(context, log)
         from fibercontact.bench.explain_words import title, words
         from fibercontact.bench.plan import single

@@ -1,7 +1,6 @@
 """`fibercontact table --level 1` and `fibercontact harvest`: one-contact problems."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,7 +8,8 @@ import typer
 
 from fibercontact.bench.protocol import DEFAULT_SOLVERS
 from fibercontact.cli.errors import user_errors
-from fibercontact.cli.screen import print_notes, print_table, screen
+from fibercontact.cli.options import Limit
+from fibercontact.cli.screen import print_notes, print_table, progress_bar, screen
 
 if TYPE_CHECKING:
     from fibercontact.bench.level1 import Measured
@@ -38,7 +38,7 @@ def one_contact_table(
     path = find_file(contacts or FILE)
     plan = Plan(_limited(read(path), limit), solvers, plugins, max(5, repetitions), max_seconds)
     try:
-        with _progress(plan.replays) as show:
+        with progress_bar("", plan.replays) as show:
             measured = measure(plan, show)
     except KeyboardInterrupt:
         typer.echo("interrupted; nothing was written", err=True)
@@ -49,9 +49,7 @@ def one_contact_table(
 def harvest(
     problems: Annotated[str, typer.Argument(metavar="SET", help="core306, or a folder of FCLIB files.")],
     out: Annotated[Path, typer.Option(metavar="FILE.h5", help="The one-contact set is written here.")],
-    limit: Annotated[
-        int | None, typer.Option(help="Only so many problems, spread over the set: a trial.", min=1)
-    ] = None,
+    limit: Limit = None,
 ) -> None:
     """Take one-contact problems from inside Gauss–Seidel runs over a set, for `table --level 1`.
 
@@ -68,7 +66,7 @@ def harvest(
 
         known = registered()
         entries = limited(load_set(find_set(problems)), limit)
-        with _progress(len(entries)) as show:
+        with progress_bar("", len(entries)) as show:
             contacts, counts = take(entries, [configure(name, known) for name in DEFAULT_SOLVERS], show)
         write(out, contacts, counts)
         typer.echo(f"wrote {contacts.m} contacts to {out}")
@@ -79,17 +77,6 @@ def _limited(contacts: "OneContacts", limit: int | None) -> "OneContacts":
     if limit is None or limit >= contacts.m:
         return contacts
     return contacts.select([k * contacts.m // limit for k in range(limit)])
-
-
-@contextmanager
-def _progress(total: int) -> Iterator[Callable[[str], None]]:
-    """A bar on stderr; called with what is done or begins."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("", total=total)
-        yield lambda text: progress.update(task, advance=1, description=text)
 
 
 def _finish(measured: "Measured", counts: dict[str, int], folder: Path) -> None:

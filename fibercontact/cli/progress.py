@@ -20,7 +20,7 @@ LINE_SECONDS = 10.0
 @contextmanager
 def listening(units: Sequence[Unit], rows: RowFile) -> Iterator[Listener]:
     """A listener that shows a run; `rows` tells what an earlier run has done already."""
-    done = {Key.of(row) for row in RowFile(rows.path.parent).read()}
+    done = {Key.of(row) for row in rows.read()}
     already = [unit for unit in units if unit.key in done]
     console = Console(stderr=True)
     tally = _Tally(len(units), len(already))
@@ -29,7 +29,7 @@ def listening(units: Sequence[Unit], rows: RowFile) -> Iterator[Listener]:
         return
     columns = (
         BarColumn(),
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         TimeElapsedColumn(),
         TextColumn("left"),
         TimeRemainingColumn(),

@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 
 from fibercontact.cli.errors import user_errors
-from fibercontact.cli.screen import print_notes, print_table, screen
-from fibercontact.cli.workers import Dask, Memory, in_bytes
+from fibercontact.cli.options import Dask, Limit, Memory, in_bytes
+from fibercontact.cli.screen import print_notes, print_table, progress_bar, screen
 
 __all__ = ["reference"]
 
@@ -20,11 +20,11 @@ def reference(
     bar: Annotated[
         float, typer.Option(help="Residual that a reference must meet.", min=1e-15, max=1.0)
     ] = 1e-10,
-    max_seconds: Annotated[float, typer.Option(help="Seconds to look for one reference.", min=0.1)] = 120.0,
+    max_seconds: Annotated[
+        float, typer.Option(help="Seconds to look for one reference.", min=0.1, max=1e5)
+    ] = 120.0,
     starts: Annotated[int, typer.Option(help="Other starts to look for other solutions from.", min=0)] = 2,
-    limit: Annotated[
-        int | None, typer.Option(help="Only so many problems, spread over the set: a trial.", min=1)
-    ] = None,
+    limit: Limit = None,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="SET.references.hdf5 beside the set by default.")
     ] = None,
@@ -59,6 +59,7 @@ def reference(
         from fibercontact.files import replace_file
         from fibercontact.reference.ground_truth import Search
         from fibercontact.reference.store import references_file
+        from fibercontact.reference.truth import NONE
 
         folder = find_set(problems)
         entries = limited(load_set(folder), limit)
@@ -67,15 +68,11 @@ def reference(
 
         def listen(row: Row) -> None:
             nonlocal found
-            found += row["reference"] != "none"
-            progress.update(task, advance=1, description=f"{found} references  {row['problem']}")
-
-        from rich.console import Console
-        from rich.progress import Progress
+            found += row["reference"] != NONE
+            show(f"{found} references  {row['problem']}")
 
         try:
-            with Progress(console=Console(stderr=True), transient=True) as progress:
-                task = progress.add_task("reference", total=len(entries))
+            with progress_bar("reference", len(entries)) as show:
                 search = Search(bar, max_seconds, starts)
                 rows, faults = find_references(
                     entries, file, search, jobs or len(usable_cores()), listen, dask, in_bytes(memory)

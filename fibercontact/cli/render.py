@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from fibercontact.cli.errors import user_errors
+from fibercontact.cli.screen import progress_bar
 from fibercontact.errors import UserError
 
 if TYPE_CHECKING:
     from fibercontact.bench.problem_set import Entry
-    from fibercontact.problem.incremental import IncrementalProblem
-    from fibercontact.problem.step import StepProblem
     from fibercontact.simulation.pictures.animation import Picture
     from fibercontact.simulation.pictures.problem import Answered
     from fibercontact.simulation.pictures.shown import Shown
@@ -28,7 +27,7 @@ PROBLEMS = (".hdf5", ".h5")
 FRAMES = 80  # of an animation, about, unless asked otherwise
 TOLERANCE, MAX_SWEEPS = 1e-4, 2000  # of an answer that is computed to be drawn
 
-WHAT_HELP = "A scene (`fibercontact simulate list`), an FCLIB file, or a problem of core306."
+WHAT_HELP = "A scene (`fibercontact simulate list`), an FCLIB file, or a problem of a set by its name."
 OUT_HELP = (
     "By its suffix a .png, an .html to turn about, a .gif or .mp4 of the run; can be repeated. "
     "NAME.png and NAME.html by default."
@@ -109,7 +108,7 @@ def _suffix(file: Path) -> str:
 
 
 def _named(what: str) -> "Entry | Scene":
-    """The problem of an FCLIB file or of core306, or a scene."""
+    """The problem of an FCLIB file or of a set, or a scene."""
     from fibercontact.bench.problem_set import find_problem
     from fibercontact.bench.protocol import BenchError
 
@@ -171,13 +170,12 @@ def _last(scene: "Scene", step: int | None, time: float | None) -> int:
 
 def _run(scene: "Scene", last: int, every: int) -> Footage:
     """Run a scene up to a step; every so many steps, counted from the last, are kept for an animation."""
-    from fibercontact.cli.screen import bar
     from fibercontact.simulation.pictures.shown import show
     from fibercontact.simulation.step import simulate
 
     frames, step = [], None
     try:
-        with bar(scene.name, last + 1) as advance:
+        with progress_bar(scene.name, last + 1) as advance:
             for step in simulate(scene):
                 advance()
                 if every and (last - step.index) % every == 0:
@@ -194,10 +192,11 @@ def _run(scene: "Scene", last: int, every: int) -> Footage:
 
 def _compare(entry: "Entry", step: "Step") -> None:
     """Say whether the scene, run again, poses the problem of the file: motions part where rounding differs."""
+    from fibercontact.bench.problem_set import content_hash
     from fibercontact.problem.fclib import read
 
     there = read(entry.file).problem
-    if step.problem is None or step.problem.condense().content_hash() != _condensed(there).content_hash():
+    if step.problem is None or content_hash(step.problem) != content_hash(there):
         found = f"{len(step.contacts.gap)} contacts where the file has {there.n}"
         typer.echo(f"warning: the scene, run again, does not pose this very problem: {found}", err=True)
 
@@ -220,7 +219,6 @@ def _draw_scene(file: Path, footage: Footage, look: Look) -> bool:
 
 
 def _draw_film(file: Path, footage: Footage, look: Look) -> int:
-    from fibercontact.cli.screen import bar
     from fibercontact.simulation.pictures.animation import gif_rate, images, write_gif, write_mp4
 
     gif = _suffix(file) == ".gif"
@@ -231,7 +229,7 @@ def _draw_film(file: Path, footage: Footage, look: Look) -> int:
             yield picture
             advance()
 
-    with bar(file.name, len(footage.frames)) as advance:
+    with progress_bar(file.name, len(footage.frames)) as advance:
         return write(file, drawn(), fps)
 
 
@@ -270,11 +268,13 @@ def _answer(entry: "Entry") -> "Answered":
     from fibercontact.gauss_seidel.solver import GaussSeidel
     from fibercontact.local.registry import configure, registered
     from fibercontact.problem.fclib import read
+    from fibercontact.problem.incremental import IncrementalProblem
     from fibercontact.problem.measure import measure
     from fibercontact.simulation.pictures.problem import answered
 
     found = read(entry.file)
-    problem = _condensed(found.problem)
+    posed = found.problem
+    problem = posed if isinstance(posed, IncrementalProblem) else posed.condense()
     given = found.solution.r if found.solution else None
     if given is not None and measure(problem, given).residual <= TOLERANCE:
         return answered(entry.name, problem, given, "the file's solution")
@@ -282,9 +282,3 @@ def _answer(entry: "Entry") -> "Answered":
     return answered(
         entry.name, problem, run.r, "solved by secular" if run.claimed else "secular's best, not solved"
     )
-
-
-def _condensed(problem: "IncrementalProblem | StepProblem") -> "IncrementalProblem":
-    from fibercontact.problem.incremental import IncrementalProblem
-
-    return problem if isinstance(problem, IncrementalProblem) else problem.condense()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fibercontact.cli.errors import user_errors
-from fibercontact.cli.solvers import Plugins
+from fibercontact.cli.options import Plugins
 
 if TYPE_CHECKING:
     from fibercontact.bench.html_report.page import Shown
@@ -82,21 +82,19 @@ def _shown(
 ) -> "Shown":
     """A run with the problems that are looked at closely."""
     from rich.console import Console
+    from rich.markup import escape
 
-    from fibercontact.bench.html_report.choice import chosen, named, shelves
+    from fibercontact.bench.html_report.choice import chosen, named
     from fibercontact.bench.html_report.page import Shown
     from fibercontact.bench.html_report.portraits import portraits, strictest
+    from fibercontact.bench.problem_set import known_sets
 
     rows = strictest(run.views).rows
     hashes = named(rows, names) if names else chosen(rows, curves)
     with Console(stderr=True).status("") as status:
-        return Shown(
-            run,
-            portraits(run, hashes, shelves(folders), plugins, rods, lambda text: status.update(_plain(text))),
-        )
 
+        def tell(text: str) -> None:
+            status.update(escape(text))
 
-def _plain(text: str) -> str:
-    from rich.markup import escape
-
-    return escape(text)
+        places = [*folders, *known_sets()]
+        return Shown(run, portraits(run, hashes, places, plugins, rods, tell))

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
     from rich.console import Console
 
-__all__ = ["bar", "print_notes", "print_table", "screen"]
+__all__ = ["print_notes", "print_table", "progress_bar", "screen"]
 
 
 WRAPPED = 24  # characters at which the text in a column may be wrapped
@@ -58,16 +58,17 @@ def _width(table: "DataFrame", column: str, wrapped: bool = True) -> int:
 
 
 def _print_grid(console: "Console", title: str, table: "DataFrame", texts: Collection[str]) -> None:
+    from rich.markup import escape
     from rich.table import Table
 
-    grid = Table(title=title or None, title_justify="left")
+    grid = Table(title=escape(title) or None, title_justify="left")
     tight = _size(table) <= console.width < _size(table, wrapped=False)
     for column in table.columns:
         left = not texts or column in texts
         width = _width(table, column) if tight else None
-        grid.add_column(column, justify="left" if left else "right", width=width)
+        grid.add_column(escape(column), justify="left" if left else "right", width=width)
     for line in table.itertuples(index=False):
-        grid.add_row(*map(str, line))
+        grid.add_row(*(escape(str(cell)) for cell in line))
     console.print(grid)
 
 
@@ -78,12 +79,12 @@ def print_notes(console: "Console", notes: Iterable[str]) -> None:
 
 
 @contextmanager
-def bar(title: str, total: int) -> Iterator[Callable[[], None]]:
-    """A bar on stderr, one step further whenever what it gives is called."""
+def progress_bar(title: str, total: int, done: int = 0) -> Iterator[Callable[..., None]]:
+    """A bar on stderr; calling what it gives takes it one step further, with a text in the title's place if given."""
     from rich.console import Console
     from rich.markup import escape
     from rich.progress import Progress
 
     with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task(escape(title), total=total)
-        yield lambda: progress.advance(task)
+        task = progress.add_task(escape(title), total=total, completed=done)
+        yield lambda text=title: progress.update(task, advance=1, description=escape(text))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fibercontact.cli.errors import user_errors
+from fibercontact.cli.screen import progress_bar
 
 if TYPE_CHECKING:
     from fibercontact.simulation.scene import Scene
@@ -168,13 +169,5 @@ def _list_scenes() -> None:
 @contextmanager
 def progress_of(title: str, steps: int, done: int = 0) -> "Iterator[Callable[[Step], None]]":
     """A bar over the steps, with the contacts of the last one."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task(title, total=steps, completed=done)
-
-        def show(step: "Step") -> None:
-            progress.update(task, advance=1, description=f"{title}: {len(step.contacts.gap)} contacts")
-
-        yield show
+    with progress_bar(title, steps, done) as show:
+        yield lambda step: show(f"{title}: {len(step.contacts.gap)} contacts")

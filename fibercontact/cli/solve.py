@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fibercontact.bench.protocol import ACCURACIES, LOGS, OUTERS, STARTS
+from fibercontact.bench.protocol import ACCURACIES, LOGS
 from fibercontact.cli.errors import check_known, user_errors
-from fibercontact.cli.solvers import Plugins
+from fibercontact.cli.options import Accuracy, MaxSeconds, Outer, Plugins, Start, check_protocol
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -30,12 +30,12 @@ def solve(
     solver: Annotated[
         str, typer.Option(metavar="NAME", help="Local solver or global method, `NAME[:option=value,...]`.")
     ],
-    accuracy: Annotated[str, typer.Option(help=f"{', '.join(ACCURACIES)}.")] = "mid",
-    start: Annotated[str, typer.Option(help="cold (zero) or guess (the file's first).")] = "cold",
-    outer: Annotated[str, typer.Option(help="Gauss–Seidel: plain, accelerated or robust.")] = "plain",
+    accuracy: Accuracy = "mid",
+    start: Start = "cold",
+    outer: Outer = "plain",
     plugin: Plugins = None,
     max_sweeps: Annotated[int, typer.Option(help="Sweeps, or iterations, at most.", min=0)] = 5000,
-    max_seconds: Annotated[float, typer.Option(help="Seconds at most.", min=0)] = 30.0,
+    max_seconds: MaxSeconds = 30.0,
     out: Annotated[
         Path | None, typer.Option(metavar="ANSWER.hdf5", help="Write problem and answer here.")
     ] = None,
@@ -59,9 +59,7 @@ def solve(
     Example: fibercontact solve FILE.hdf5 --solver hybrid --accuracy high --out ANSWER.hdf5
     """
     with user_errors():
-        check_known("accuracy", [accuracy], list(ACCURACIES))
-        check_known("start", [start], STARTS)
-        check_known("outer loop", [outer], OUTERS)
+        check_protocol([accuracy], start, outer)
         check_known("log", [log] if log else [], LOGS)
         _check_output(file, out)
         _check_output(file, log_file)

@@ -1,18 +1,11 @@
 """`fibercontact solvers`: what local solvers and global methods there are."""
 
-from pathlib import Path
-from typing import Annotated
-
 import typer
 
 from fibercontact.cli.errors import user_errors
+from fibercontact.cli.options import Plugins
 
-__all__ = ["Plugins", "solvers", "split_solvers"]
-
-Plugins = Annotated[
-    list[Path] | None,
-    typer.Option("--plugin", metavar="FILE", help="A Python file with a solver; may be repeated."),
-]
+__all__ = ["solvers"]
 
 
 def solvers(plugin: Plugins = None) -> None:
@@ -32,18 +25,3 @@ def solvers(plugin: Plugins = None) -> None:
             typer.echo(f"{name}  ({kind}{law}; {entry.origin})\n    {entry.summary}")
             for option, value in entry.solver.options.items():
                 typer.echo(f"    {option}={value.default:g}  {value.meaning}")
-
-
-def split_solvers(text: str) -> list[str]:
-    """Split a list of specifications at its commas, except those between the options of a solver.
-
-    >>> split_solvers("pac,mfb:tolerance=1e-9,iterations=50,secular")
-    ['pac', 'mfb:tolerance=1e-9,iterations=50', 'secular']
-    """
-    found: list[str] = []
-    for part in filter(None, (piece.strip() for piece in text.split(","))):
-        if "=" in part and ":" not in part and found:
-            found[-1] += f",{part}"
-        else:
-            found.append(part)
-    return list(dict.fromkeys(found))

@@ -1,24 +1,34 @@
 """`fibercontact table`: the comparison table, regenerated."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fibercontact.bench.protocol import ACCURACIES, DEFAULT_SOLVERS, LOGS, OUTERS, STARTS, BenchError
+from fibercontact.bench.protocol import ACCURACIES, DEFAULT_SOLVERS, LOGS, BenchError
 from fibercontact.cli.errors import check_known, user_errors
 from fibercontact.cli.level1 import one_contact_table
+from fibercontact.cli.options import (
+    Dask,
+    Limit,
+    MaxSeconds,
+    Memory,
+    Outer,
+    Plugins,
+    Start,
+    check_protocol,
+    in_bytes,
+    split_solvers,
+    with_plugins,
+)
 from fibercontact.cli.screen import print_notes, print_table, screen
-from fibercontact.cli.solvers import Plugins, split_solvers
-from fibercontact.cli.workers import Dask, Memory, in_bytes
 
 if TYPE_CHECKING:
     from fibercontact.bench.plan import Plan
     from fibercontact.bench.report import Report
     from fibercontact.bench.rows import Row, RowFile
     from fibercontact.global_methods.registry import AnyConfigured
-    from fibercontact.local.loading import Registered
     from fibercontact.local.registry import Configured
 
 __all__ = ["table"]
@@ -59,13 +69,11 @@ def table(
         list[str] | None,
         typer.Option(metavar="LEVEL", help="Failure rates only at this one, in parallel; repeatable."),
     ] = None,
-    start: Annotated[str, typer.Option(help="cold (zero) or guess (the file's first).")] = "cold",
-    outer: Annotated[str, typer.Option(help="Gauss–Seidel: plain, accelerated or robust.")] = "plain",
+    start: Start = "cold",
+    outer: Outer = "plain",
     repetitions: Annotated[int, typer.Option(help="Timed passes.", min=3)] = 3,
     jobs: Annotated[int, typer.Option(help="Processes for the rates; 0: one a core.", min=0)] = 0,
-    limit: Annotated[
-        int | None, typer.Option(help="Only so many problems, spread over the set: a trial.", min=1)
-    ] = None,
+    limit: Limit = None,
     out: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Run folder; runs/SET by default.")
     ] = None,
@@ -73,7 +81,7 @@ def table(
         bool, typer.Option("--fresh", help="Start over; an earlier run is moved aside.")
     ] = False,
     max_sweeps: Annotated[int, typer.Option(help="Sweeps, or iterations, a problem at most.", min=1)] = 5000,
-    max_seconds: Annotated[float, typer.Option(help="Seconds a problem at most.", min=0)] = 30.0,
+    max_seconds: MaxSeconds = 30.0,
     log: Annotated[
         str | None,
         typer.Option(
@@ -106,10 +114,8 @@ def table(
     fibercontact table --level 1
     """
     with user_errors():
-        check_known("accuracy", [*(accuracy or []), *(rates or [])], list(ACCURACIES))
+        check_protocol([*(accuracy or []), *(rates or [])], start, outer)
         check_known("level", [str(level)], ["1", "3"])
-        check_known("start", [start], STARTS)
-        check_known("outer loop", [outer], OUTERS)
         check_known("log", [log] if log else [], LOGS)
         if level == 1:
             if accuracy or rates or log or all_global or peers or dask or memory:
@@ -178,7 +184,7 @@ def _local(solvers: str | None, plugins: Sequence[Path]) -> "list[Configured]":
 
     known = registered(plugins)
     given = split_solvers(solvers) if solvers is not None else [*DEFAULT_SOLVERS, *known]
-    return [configure(text, known) for text in _with_plugins(given, known, plugins)]
+    return [configure(text, known) for text in with_plugins(given, known, plugins)]
 
 
 def _configured(
@@ -193,7 +199,7 @@ def _configured(
     given = split_solvers(solvers) if solvers is not None else [*DEFAULT_SOLVERS, *local]
     methods = [name for name in known if is_global(known[name]) and known[name].origin == "built in"]
     given += methods if all_global else []
-    return [configure(text, known) for text in _with_plugins([*given, *of_peers], known, plugins)]
+    return [configure(text, known) for text in with_plugins([*given, *of_peers], known, plugins)]
 
 
 def _of_peers(names: str | None) -> list[str]:
@@ -212,14 +218,6 @@ def _of_peers(names: str | None) -> list[str]:
         else:
             found += specifications(name)
     return found
-
-
-def _with_plugins(
-    given: Sequence[str], known: "Mapping[str, Registered[Any]]", plugins: Sequence[Path]
-) -> list[str]:
-    """The specifications given, each once, and the names of what the plugins hold."""
-    files = {str(path) for path in plugins}
-    return list(dict.fromkeys([*given, *(name for name in known if known[name].origin in files)]))
 
 
 def _run(plan: "Plan", rows: "RowFile", dask: str | None) -> list[str]:

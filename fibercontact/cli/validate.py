@@ -9,8 +9,8 @@ import typer
 
 from fibercontact.bench.protocol import ACCURACIES, DEFAULT_SOLVERS
 from fibercontact.cli.errors import check_known, user_errors
+from fibercontact.cli.options import Limit, Plugins, split_solvers, with_plugins
 from fibercontact.cli.screen import print_notes, print_table, screen
-from fibercontact.cli.solvers import Plugins, split_solvers
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
@@ -40,9 +40,7 @@ def validate(
         Path | None,
         typer.Option(metavar="FILE", help="References; SET.references.hdf5 beside the set by default."),
     ] = None,
-    limit: Annotated[
-        int | None, typer.Option(help="Only so many problems, spread over the set: a trial.", min=1)
-    ] = None,
+    limit: Limit = None,
     out: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Run folder; runs/SET-validation by default.")
     ] = None,
@@ -94,10 +92,9 @@ def _contenders(solvers: str | None, plugins: list[Path], accuracy: str) -> "lis
 
     known = registered(plugins)
     names = split_solvers(solvers) if solvers is not None else [*DEFAULT_SOLVERS, *known, ASSOCIATED]
-    from_plugins = [name for name in known if known[name].origin in {str(path) for path in plugins}]
     return [
         associated_model() if name == ASSOCIATED else contender(configure(name, known), accuracy)
-        for name in dict.fromkeys([*names, *from_plugins])
+        for name in with_plugins(names, known, plugins)
     ]
 
 
@@ -116,7 +113,9 @@ class _Bar:
         self.progress, self.task = progress, task
 
     def now(self, problem: str, what: str) -> None:
-        self.progress.update(self.task, description=f"{problem} {what}")
+        from rich.markup import escape
+
+        self.progress.update(self.task, description=escape(f"{problem} {what}"))
 
     def done(self, problem: str) -> None:
         self.progress.advance(self.task)
@@ -126,7 +125,7 @@ class _Bar:
 
 
 def _finish(comparison: "Comparison", folder: Path) -> None:
-    from fibercontact.bench.validate import notes, reference_table, solver_table, write_report
+    from fibercontact.bench.validate_report import notes, reference_table, solver_table, write_report
 
     console = screen()
     if comparison.references:

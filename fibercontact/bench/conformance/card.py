@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator, Sequence
 
-from fibercontact.bench.conformance.reports import Table
 from fibercontact.bench.conformance.suite import Outcome, Verdict, asks, holds
 from fibercontact.bench.environment import cpu_model, versions
+from fibercontact.bench.markdown import grid
 from fibercontact.bench.passes import options_text
 from fibercontact.local.registry import Configured
 
@@ -30,7 +30,7 @@ def lines_of(verdicts: Sequence[Verdict]) -> Iterator[tuple[str, str, str, str]]
 def markdown(local: Configured, verdicts: Sequence[Verdict]) -> str:
     """The whole card."""
     parts = [f"# {headline(local, verdicts)}", _subject(local)]
-    parts.append(_grid(Table(COLUMNS, list(lines_of(verdicts)))))
+    parts.append("\n".join(grid(COLUMNS, lines_of(verdicts))))
     for verdict in verdicts:
         if verdict.detail:
             parts += [
@@ -39,7 +39,7 @@ def markdown(local: Configured, verdicts: Sequence[Verdict]) -> str:
                 f"```\n{verdict.detail}\n```",
             ]
         if verdict.table:
-            parts += [f"## {verdict.check}", verdict.sentence, _grid(verdict.table)]
+            parts += [f"## {verdict.check}", verdict.sentence, "\n".join(grid(*verdict.table))]
     return "\n\n".join(parts) + "\n"
 
 
@@ -54,9 +54,3 @@ def _subject(local: Configured) -> str:
         "cpu": cpu_model(),
     }
     return "\n".join(f"* {name}: {value}" for name, value in facts.items())
-
-
-def _grid(table: Table) -> str:
-    rows = [table.columns, ["---"] * len(table.columns), *table.rows]
-    escaped = ([cell.replace("|", "\\|") for cell in row] for row in rows)
-    return "\n".join(f"| {' | '.join(row)} |" for row in escaped)

@@ -1,15 +1,14 @@
 """Which problems of a run are looked at closely, and where their files are."""
 
-import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
 import pandas as pd
 
-from fibercontact.bench.problem_set import HASH_DIGITS, SUFFIXES, Entry
+from fibercontact.bench.problem_set import Entry, entry_of, problem_files
 from fibercontact.bench.tables import rated
 
-__all__ = ["RULE", "chosen", "locate", "named", "shelves"]
+__all__ = ["RULE", "chosen", "locate", "named"]
 
 RULE = (
     "those on which the solvers disagree most (the number that solved it times the number that did not), then those "
@@ -35,21 +34,10 @@ def chosen(rows: pd.DataFrame, count: int) -> list[str]:
     return [str(name) for name in turn.sort_values(kind="stable").index[:count]]
 
 
-def shelves(given: Sequence[Path] = ()) -> list[Path]:
-    """Folders to look for problems in: those given, then the sets of the checkout and of the current folder."""
-    roots = [Path(__file__).parents[3] / "problems", Path("problems")]
-    known = [
-        folder for root in roots if root.is_dir() for folder in sorted(root.iterdir()) if folder.is_dir()
-    ]
-    return [*given, *known]
-
-
 def locate(problem: str, digest: str, folders: Sequence[Path]) -> Entry | None:
     """The file of that name and hash; the name is compared with those that are there, no path is made of it."""
     for folder in folders:
-        for file in sorted(folder.iterdir()):
-            if file.suffix in SUFFIXES and file.stem == problem:
-                found = hashlib.sha256(file.read_bytes()).hexdigest()[:HASH_DIGITS]
-                if found == digest:
-                    return Entry(file, folder.resolve().name, found)
+        for file in problem_files(folder):
+            if file.stem == problem and (entry := entry_of(file)).hash == digest:
+                return entry
     return None

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from fibercontact.bench.figures import COLOURS, DASHES, MARKERS
+from fibercontact.bench.figures import DASHES, MARKERS, style_of
 from fibercontact.bench.protocol import ACCURACIES
 from fibercontact.bench.report import View
 from fibercontact.bench.rows import TIMED
@@ -65,13 +65,9 @@ class Curve(NamedTuple):
 def styles(solvers: Sequence[str]) -> dict[str, Style]:
     """A style for each solver, that of the run's other figures where these are all of its solvers."""
     return {
-        name: Style(
-            k,
-            COLOURS[k % len(COLOURS)],
-            DASH[DASHES[(k + k // len(COLOURS)) % len(DASHES)]],
-            SYMBOL[MARKERS[(k + k // len(COLOURS)) % len(MARKERS)]],
-        )
+        name: Style(k, look.colour, DASH[look.dash], SYMBOL[look.marker])
         for k, name in enumerate(solvers)
+        for look in [style_of(k)]
     }
 
 

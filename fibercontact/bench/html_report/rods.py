@@ -4,12 +4,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from fibercontact.bench.problem_set import Entry, origin
+from fibercontact.bench.problem_set import Entry, content_hash, origin
 from fibercontact.errors import UserError
-from fibercontact.problem.constrained import ConstrainedStep
 from fibercontact.problem.fclib import read
-from fibercontact.problem.incremental import IncrementalProblem
-from fibercontact.problem.step import StepProblem
 from fibercontact.simulation.pictures.scene_page import scene_page
 from fibercontact.simulation.pictures.shown import show
 from fibercontact.simulation.pictures.still import caption
@@ -66,8 +63,4 @@ def _fit(figure: "Figure") -> None:
 
 def _poses(step: Step, entry: Entry) -> bool:
     """Whether a step poses the problem of the file: motions part where rounding differs."""
-    return step.problem is not None and _hash(step.problem) == _hash(read(entry.file).problem)
-
-
-def _hash(problem: IncrementalProblem | StepProblem | ConstrainedStep) -> str:
-    return (problem if isinstance(problem, IncrementalProblem) else problem.condense()).content_hash()
+    return step.problem is not None and content_hash(step.problem) == content_hash(read(entry.file).problem)

@@ -8,16 +8,12 @@ from pathlib import Path
 import pandas as pd
 
 from fibercontact.bench.protocol import ACCURACIES, DEFAULT_SOLVERS, GLOBAL, BenchError
-from fibercontact.bench.record import Record, read_run
-from fibercontact.bench.report import View, make_report
-from fibercontact.bench.rows import RATES, TIMED, Key, Row, RowFile
+from fibercontact.bench.record import TEXTS, Record, read_run
+from fibercontact.bench.report import View, make_report, shown_rows
+from fibercontact.bench.rows import RATES, SETTING, TIMED, Key, Row, RowFile, writer
 
-__all__ = ["SETTING", "RunRead", "renamed", "reported"]
+__all__ = ["RunRead", "renamed", "reported"]
 
-TEXTS = (
-    "problem", "problem_hash", "scene", "existence", "solver", "fingerprint", "options", "accuracy", "start", "outer",
-    "mode", "code", "cpu", "reason", "detail", "stamp",
-)  # fmt: skip
 NUMBERS = ("tolerance", "law_facets", "repetitions", "max_sweeps", "max_seconds", "protocol", "contacts")
 UNKNOWN = (
     "mu_max",
@@ -33,8 +29,6 @@ UNKNOWN = (
 """Numbers that may be missing."""
 FLAGS = ("claimed", "solved", "false_success")
 
-SETTING = ("protocol", "code", "start", "max_sweeps", "max_seconds")
-"""What all rows of one table have in common; timed ones also the machine."""
 NAMED = 3
 """Solvers whose missing rows are told."""
 
@@ -64,7 +58,7 @@ def reported(folder: Path) -> RunRead:
     newest = list(_newest(rows))
     if aside := len(rows) - len(newest):
         remarks.append(f"{aside} row(s) of other code, solvers, settings or another machine are left aside")
-    mine = _shown(newest)
+    mine = shown_rows(newest)
     solvers = _ordered([row["solver"] for row in mine])
     try:
         views = _views(mine, solvers)
@@ -84,7 +78,7 @@ def renamed(runs: Sequence[RunRead]) -> list[RunRead]:
 def _checked(row: Row, number: int, folder: Path) -> Row:
     """The row, what is not known NaN; raises `BenchError` on a value of the wrong kind."""
     clean = row | {name: math.nan for name in UNKNOWN if row.get(name) is None}
-    clean |= {name: "" for name in ("detail", "existence") if name not in row}
+    clean |= {name: "" for name in ("detail", "existence", "warning") if name not in row}
     kinds = (
         [(name, str, "a text") for name in TEXTS]
         + [(name, (int, float), "a number") for name in (*NUMBERS, *UNKNOWN)]
@@ -119,12 +113,6 @@ def _newest(rows: Sequence[Row]) -> Iterator[Row]:
         if row["outer"] in {GLOBAL, *loop} and source[row["solver"]] == (row["fingerprint"], row["options"])
     }
     yield from kept.values()
-
-
-def _shown(rows: Sequence[Row]) -> list[Row]:
-    """The rows without those of the passes that came before timed ones."""
-    timed = {row["accuracy"] for row in rows if row["mode"] == TIMED}
-    return [row for row in rows if row["mode"] == TIMED or row["accuracy"] not in timed]
 
 
 def _ordered(solvers: Sequence[str]) -> list[str]:
@@ -169,7 +157,9 @@ def _unfinished(folder: Path) -> Iterator[str]:
     rows, table = RowFile(folder).path, folder / "table.csv"
     if not rows.is_file():
         return
-    if not table.is_file():
-        yield "incomplete: the run was interrupted or goes on, for its table has not been written"
+    if who := writer(folder):
+        yield f"incomplete: the run goes on ({who})"
+    elif not table.is_file():
+        yield "incomplete: the run was interrupted, or goes on elsewhere, for its table has not been written"
     elif rows.stat().st_mtime > table.stat().st_mtime:
         yield "incomplete: rows were added since its table was written"

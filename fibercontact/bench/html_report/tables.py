@@ -4,10 +4,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from fibercontact.bench.html_report.runs import SETTING, RunRead
+from fibercontact.bench.html_report.runs import RunRead
 from fibercontact.bench.protocol import ACCURACIES
 from fibercontact.bench.report import View, number
-from fibercontact.bench.rows import TIMED
+from fibercontact.bench.rows import SETTING, TIMED
 from fibercontact.bench.tables import rated
 
 __all__ = ["Group", "Table", "differing", "headline_table", "overview", "side_by_side"]
