@@ -2,8 +2,21 @@
 
 import json
 import math
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
 
+import numpy as np
+
+from fibercontact.bench.html_report.figures import Curve
+from fibercontact.bench.html_report.page import Shown, page
+from fibercontact.bench.html_report.portraits import Portrait
+from fibercontact.bench.html_report.rods import rods_of
+from fibercontact.bench.html_report.runs import reported
+from fibercontact.bench.problem_set import find_problem
 from fibercontact.bench.protocol import ACCURACIES
+
+RESULTS = Path(__file__).parents[1] / "results"
 
 SOLVERS = ["pac", "hybrid", "secular"]
 PROBLEMS = {
@@ -56,3 +69,26 @@ def write_run(folder, found, finished=True):
     if finished:
         (folder / "table.csv").touch()
     return folder
+
+
+@cache
+def committed(name):
+    """A run of `results/`, read back."""
+    return reported(RESULTS / name)
+
+
+@cache
+def page_of_core306():
+    """The page of the committed run, six problems of it looked at closely, with invented curves; two with rods."""
+    run = committed("core306")
+    rng = np.random.default_rng(0)
+    curves = [Curve(name, list(range(1, 152)), rng.uniform(size=151).tolist()) for name in run.solvers]
+    portraits = [Portrait(f"p{k}", "", "scene", 400, "mid", curves, []) for k in range(6)]
+    portraits[:2] = [replace(portrait, rods=rods_of_ours()) for portrait in portraits[:2]]
+    return page([Shown(run, portraits)])
+
+
+@cache
+def rods_of_ours():
+    """The rods of a problem of core306, whose scene is run for them."""
+    return rods_of(find_problem("comb-curly-91-mu1-001"))

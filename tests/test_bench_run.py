@@ -20,7 +20,7 @@ from fibercontact.bench import measurement
 from fibercontact.bench import plan as plan_module
 from fibercontact.bench.passes import Desk, Pass, judge, options_text
 from fibercontact.bench.plan import Plan
-from fibercontact.bench.problem_set import find_set, limited, load_set
+from fibercontact.bench.problem_set import entry_of, find_set, limited, load_set, origin
 from fibercontact.bench.protocol import BenchError, Limits
 from fibercontact.bench.rows import Key, RowFile, move_away
 from fibercontact.bench.run import run
@@ -555,6 +555,16 @@ def test_manifest_is_checked_and_obeyed(tmp_path, kind):
     (folder / "chain-02.hdf5").unlink()
     with pytest.raises(BenchError, match=r"chain-02.hdf5 is listed but not there"):
         load_set(folder)
+
+
+@pytest.mark.parametrize("bytes_", [b"file\n\xff.hdf5\n", b"file\n" + b"x" * 200_000])
+def test_a_manifest_that_cannot_be_read_is_refused_by_name(tmp_path, bytes_):
+    folder = write_set(tmp_path / "set", 1)
+    (folder / "manifest.csv").write_bytes(bytes_)
+    with pytest.raises(BenchError, match=r"manifest.csv: not readable"):
+        load_set(folder)
+    with pytest.raises(BenchError, match=r"manifest.csv: not readable"):
+        origin(entry_of(folder / "chain-00.hdf5"))
 
 
 def test_a_folder_without_problems_or_with_one_twice_is_refused(tmp_path):

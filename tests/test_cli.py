@@ -312,6 +312,17 @@ def test_errors_of_table(file, arguments, message):
     assert message in fails("table", *arguments)
 
 
+@pytest.mark.parametrize("seconds", ["inf", "nan", "1e7", "-1"])
+@pytest.mark.parametrize(
+    "command", [["table", "--set"], ["solve", "--solver", "pac"], ["explain", "--out", "x"]]
+)
+def test_seconds_are_a_number_that_a_clock_can_hold(file, command, seconds):
+    """An infinite limit cannot be a row's, nor a timer's."""
+    result = call(*command, file, "--max-seconds", seconds)
+    assert result.exit_code == 2
+    assert "--max-seconds" in result.stderr
+
+
 # simulate and dump
 
 

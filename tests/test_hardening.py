@@ -335,6 +335,13 @@ def test_a_table_fits_on_the_screen_and_keeps_every_cell(monkeypatch, capsys, co
     assert [line for line in lines if "title" in line] == lines[:1]
 
 
+def test_square_brackets_are_text(capsys):
+    """Not the markup of the library that draws the tables."""
+    print_table(screen(), "a [red] title", pd.DataFrame({"a [b] column": ["run[old]", "[/]"]}))
+    text = capsys.readouterr().out
+    assert [said in text for said in ("a [red] title", "a [b] column", "run[old]", "[/]")] == [True] * 4
+
+
 @pytest.mark.parametrize("columns", [60, 80, 100, 200])
 def test_explanations_fit_on_the_screen(monkeypatch, columns):
     monkeypatch.setenv("COLUMNS", str(columns))

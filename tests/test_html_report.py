@@ -3,15 +3,13 @@
 import hashlib
 import html
 import json
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from report_rows import RUNS, SOLVERS, row, rows, write_run
+from report_rows import RESULTS, RUNS, SOLVERS, committed, page_of_core306, rods_of_ours, row, rows, write_run
 from scipy.sparse import csr_array, eye_array
 from typer.testing import CliRunner
 
@@ -30,7 +28,7 @@ from fibercontact.bench.html_report.figures import (
 )
 from fibercontact.bench.html_report.limitations import limitations
 from fibercontact.bench.html_report.page import LARGEST, Shown, as_json, page, page_data, write_page
-from fibercontact.bench.html_report.portraits import Portrait, strictest
+from fibercontact.bench.html_report.portraits import strictest
 from fibercontact.bench.html_report.rods import rods_of
 from fibercontact.bench.html_report.runs import renamed, reported
 from fibercontact.bench.html_report.tables import headline_table, side_by_side
@@ -43,8 +41,6 @@ from fibercontact.bench.tables import performance_ratios, rated
 from fibercontact.cli import app
 from fibercontact.problem.fclib import write
 from fibercontact.problem.step import StepProblem
-
-RESULTS = Path(__file__).parents[1] / "results"
 
 
 @pytest.fixture
@@ -67,7 +63,7 @@ def test_the_tables_are_those_of_a_run(run):
 @pytest.mark.parametrize("name", ["core306", "rods102"])
 def test_committed_rows_give_the_committed_table(name):
     table = pd.read_csv(RESULTS / name / "table.csv").set_index("solver")
-    view = reported(RESULTS / name).views[0]
+    view = committed(name).views[0]
     numbers = [column for column in table if table[column].dtype.kind in "if"]
     pd.testing.assert_frame_equal(
         view.table[numbers].loc[table.index], table[numbers], check_dtype=False, rtol=1e-12
@@ -382,8 +378,7 @@ def test_the_sets_of_the_checkout_are_searched():
 
 
 def test_the_rods_of_a_problem_of_ours_are_drawn():
-    entry = find_problem("comb-curly-91-mu1-001")
-    figure, words = rods_of(entry)
+    figure, words = rods_of_ours()
     assert words.startswith("comb-curly-91-mu1, step 1, ")
     drawn = sum(len(t.x) for t in figure.data if t.name.split()[-1] in ("stick", "slip", "take-off"))
     assert f"{drawn} contacts" in words
@@ -419,13 +414,7 @@ def test_a_manifest_cannot_make_us_run_anything_else(tmp_path, scene, words):
 
 
 def test_a_page_of_306_problems_and_8_solvers_is_small_enough():
-    run = reported(RESULTS / "core306")
-    rng = np.random.default_rng(0)
-    curves = [Curve(name, list(range(1, 152)), rng.uniform(size=151).tolist()) for name in run.solvers]
-    portraits = [Portrait(f"p{k}", "", "scene", 400, "mid", curves, []) for k in range(6)]
-    rods = rods_of(find_problem("comb-curly-91-mu1-001"))
-    portraits[:2] = [replace(portrait, rods=rods) for portrait in portraits[:2]]
-    assert len(page([Shown(run, portraits)]).encode()) < LARGEST
+    assert len(page_of_core306().encode()) < LARGEST
 
 
 def test_a_page_that_is_too_large_is_refused_and_not_written(run, tmp_path, monkeypatch):

@@ -9,14 +9,13 @@ import shutil
 from pathlib import Path
 
 import pytest
-from report_rows import PROBLEMS, RUNS, SOLVERS, row, rows, write_run
+from report_rows import PROBLEMS, RUNS, SOLVERS, page_of_core306, rods_of_ours, row, rows, write_run
 
 from fibercontact.bench.html_report.figures import Curve
 from fibercontact.bench.html_report.page import Shown, write_page
-from fibercontact.bench.html_report.portraits import Portrait, portraits
-from fibercontact.bench.html_report.rods import Rods, rods_of
+from fibercontact.bench.html_report.portraits import Portrait
+from fibercontact.bench.html_report.rods import Rods
 from fibercontact.bench.html_report.runs import reported
-from fibercontact.bench.problem_set import find_problem, known_sets
 from fibercontact.bench.report import number
 
 ROOT = Path(__file__).parents[1]
@@ -101,8 +100,7 @@ def file(tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
     run = reported(write_run(folder / "first", rows() + rows("mid", "rates")))
     other = reported(write_run(folder / "second", rows("mid", "rates", cpu="6502")[:-2], finished=False))
-    rods = rods_of(find_problem("comb-curly-91-mu1-001"))
-    portrait = Portrait("two", "hash-two", "comb", 300, "mid", curves(SOLVERS), ["a note"], rods)
+    portrait = Portrait("two", "hash-two", "comb", 300, "mid", curves(SOLVERS), ["a note"], rods_of_ours())
     write_page([Shown(run, [portrait]), Shown(other, [])], folder / "page.html")
     return folder / "page.html"
 
@@ -257,12 +255,9 @@ def test_the_policy_lets_no_other_script_run(file, browser):
 
 @pytest.fixture(scope="module")
 def core(tmp_path_factory):
-    """The page of the committed run, a problem of it looked at closely."""
-    run = reported(ROOT / "results" / "core306")
-    scene = find_problem("comb-curly-91-mu1-001")
-    closely = portraits(run, [scene.hash], known_sets(), [], rods=1, tick=print)
+    """The page of the committed run."""
     file = tmp_path_factory.mktemp("core") / "page.html"
-    write_page([Shown(run, closely)], file)
+    file.write_text(page_of_core306(), encoding="utf-8")
     return file
 
 

@@ -1,11 +1,13 @@
 """Runs as things: their rows survive anything, and they are listed, shown, compared and merged."""
 
+import fcntl
 import json
 import math
 import multiprocessing
 import os
 import random
 import signal
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -19,12 +21,24 @@ from hypothesis import strategies as st
 from test_bench_run import plan_for, write_set
 from typer.testing import CliRunner
 
+from fibercontact.bench import rows as rows_module
 from fibercontact.bench.compare import Margins, bootstrap, compare
 from fibercontact.bench.merge import merge
 from fibercontact.bench.plan import Plan
 from fibercontact.bench.protocol import BenchError, Limits
 from fibercontact.bench.record import Asked, Record, find_runs, read_run
-from fibercontact.bench.rows import CLOCKS, RATES, TIMED, Key, RowFile, but_for_clocks, lines, move_away
+from fibercontact.bench.report import make_report
+from fibercontact.bench.rows import (
+    CLOCKS,
+    RATES,
+    TIMED,
+    Key,
+    RowFile,
+    but_for_clocks,
+    lines,
+    move_away,
+    writer,
+)
 from fibercontact.bench.run_views import listing, progress
 from fibercontact.cli import app
 
@@ -60,6 +74,29 @@ def test_a_second_run_in_a_folder_is_refused_with_the_process_that_has_it(tmp_pa
             move_away(tmp_path)
     with RowFile(tmp_path).appending():
         pass
+
+
+def test_whether_a_run_goes_on_is_told_by_its_lock(tmp_path):
+    folder = write_run(tmp_path / "run", [row()])
+    assert writer(folder) == ""  # without a lock
+    with RowFile(folder).appending():
+        assert writer(folder).startswith(f"process {os.getpid()} on ")
+        assert listing(find_runs(tmp_path), tmp_path)["now"][0] == f"measuring: {writer(folder)}"
+    assert writer(folder) == ""  # its file stays
+    assert listing(find_runs(tmp_path), tmp_path)["now"][0] == "–"
+
+
+def test_a_run_can_begin_while_somebody_asks_whether_one_goes_on(tmp_path, monkeypatch):
+    monkeypatch.setattr(rows_module, "ASKED_SECONDS", 0.5)
+    with RowFile(tmp_path).appending():
+        pass
+    with (tmp_path / "run.lock").open() as asking:
+        fcntl.flock(asking, fcntl.LOCK_SH)
+        answered = threading.Timer(0.1, fcntl.flock, (asking, fcntl.LOCK_UN))
+        answered.start()
+        with RowFile(tmp_path).appending():
+            pass
+        answered.join()
 
 
 FORKS = multiprocessing.get_context("forkserver")
@@ -386,6 +423,7 @@ def test_runs_are_found_at_any_depth_and_other_folders_are_not(tmp_path):
     write_run(tmp_path / "b", [row()])
     write_run(tmp_path / "a" / "deep", [row(), row("p1")])
     write_run(tmp_path / "of-another-kind", [{"problem": "p"}])
+    write_run(tmp_path / "of-lists", [row() | {"solver": ["secular"]}])
     found = listing(find_runs(tmp_path), tmp_path)
     assert list(found["folder"]) == ["a/deep", "b"]
     assert list(found["problems"]) == ["2", "1"]
@@ -429,6 +467,13 @@ def test_show(folder):
     nothing = call("show", folder)
     assert nothing.exit_code == 2
     assert "no run there" in nothing.stderr
+
+
+def test_show_counts_a_timed_measurement_once(tmp_path):
+    """Not its pass before, which was solved where a timed one was not."""
+    before, failed = row(accuracy="mid", mode=RATES, repetitions=0), row(accuracy="mid", solved=False)
+    view = make_report([row(), before, failed], ["secular"]).views[0]
+    assert view.table["failure_percent_mid"].tolist() == [100.0]
 
 
 def test_compare(folder, tmp_path):
