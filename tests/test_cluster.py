@@ -57,8 +57,8 @@ class Killing(Silent):
 @pytest.fixture
 def plan(tmp_path):
     plugins = [plugin(tmp_path, "giving_up"), method(tmp_path, "raises")]
-    solvers = ["secular", "giving-up", "raises"]
-    return plan_for(write_set(tmp_path / "set", 4), solvers, plugins, timed=(), rates=("mid",), jobs=2)
+    solvers = ["secular", "hybrid", "giving-up", "raises", "spg"]
+    return plan_for(write_set(tmp_path / "set", 6), solvers, plugins, timed=(), rates=("mid",), jobs=2)
 
 
 def test_rows_are_those_of_a_local_run_even_when_a_worker_dies(cluster, plan, tmp_path):
@@ -67,7 +67,7 @@ def test_rows_are_those_of_a_local_run_even_when_a_worker_dies(cluster, plan, tm
     killing = Killing(cluster.scheduler_address)
     assert run(plan, there, killing, cluster.scheduler_address) == []
     assert len(killing.killed) == 1
-    assert len(there.read()) == 4 * 3
+    assert len(there.read()) == 6 * 5
     assert told(there.read()) == told(here.read())
     assert {row["reason"] for row in there.read()} == {"", "local", "crash"}
 
