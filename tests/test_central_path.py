@@ -154,5 +154,5 @@ def test_a_path_that_turns_is_followed_to_a_solution(seed, contacts, mu, monkeyp
     assert {-1.0, 1.0} == set(signs)
     monkeypatch.setattr(method, "_orientation", lambda f: 1.0)
     monkeypatch.setattr(interior_point_module, "STARTS", (1.0,))
-    falling = interior_point(block_system(given), given.b_ref, 1e-7 * given.b_ref, max_iterations=300)
+    falling = interior_point(block_system(given), given.b_ref, 1e-7 * given.b_ref, max_iterations=150)
     assert falling.residual > 1e-4 * given.b_ref

@@ -72,6 +72,22 @@ def test_rows_are_those_of_a_local_run_even_when_a_worker_dies(cluster, plan, tm
     assert {row["reason"] for row in there.read()} == {"", "local", "crash"}
 
 
+def test_a_cluster_that_adapts_starts_workers_for_a_run(tmp_path):
+    plan = plan_for(write_set(tmp_path / "set", 2), ["secular"], timed=(), rates=("low",))
+    rows = RowFile(tmp_path / "run")
+    with distributed.LocalCluster(
+        n_workers=0,
+        threads_per_worker=1,
+        host="127.0.0.1",
+        dashboard_address=None,
+        local_directory=str(tmp_path),
+        silence_logs=50,
+    ) as cluster:
+        cluster.adapt(minimum=0, maximum=1)
+        assert run(plan, rows, Silent(), cluster.scheduler_address) == []
+    assert len(rows.read()) == 2
+
+
 def test_what_cannot_be_read_and_what_ends_its_process_cost_no_more_than_themselves(cluster, tmp_path):
     """The plugin needs a module beside it, which travels with it."""
     path = method(tmp_path, "dies")

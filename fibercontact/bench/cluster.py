@@ -137,10 +137,10 @@ class Cluster:
 
     def _room(self) -> int:
         """How many tasks may be under way: two for each thread of a worker. Waits while there is no worker."""
-        if not self._client.nthreads():
+        while not (threads := sum(self._client.nthreads().values())):
             self._note(f"{self._address}: waiting for workers")
-            self._client.wait_for_workers(1)
-        return 2 * sum(self._client.nthreads().values())
+            self._client.submit(int, pure=False).exception()  # some clusters start workers only for a task
+        return 2 * threads
 
     def _told(self, fault: BaseException) -> BaseException:
         """What a task raised, for the user."""
