@@ -28,6 +28,7 @@ from fibercontact.bench.environment import cpu_model, one_thread, usable_cores
 from fibercontact.bench.figures import COLOURS, MARKERS, save
 from fibercontact.bench.passes import Laid, gauss_seidel, lay_out, solve_globally
 from fibercontact.bench.protocol import Limits
+from fibercontact.errors import UserError
 from fibercontact.gauss_seidel.anderson import Acceleration
 from fibercontact.gauss_seidel.blocks import new_velocity, write_velocity
 from fibercontact.gauss_seidel.solver import GaussSeidel
@@ -83,7 +84,11 @@ def solver(name: str) -> Callable[[Laid, float], dict[str, float]]:
         return {"seconds": run.seconds, "residual": found, "sweeps": run.sweeps}
 
     def whole(laid: Laid, tolerance: float) -> dict[str, float]:
-        row = solve_globally(chosen, laid, None, tolerance, LIMITS)
+        try:
+            row = solve_globally(chosen, laid, None, tolerance, LIMITS)
+        except UserError as reason:  # a peer that dies or raises
+            print(f"{name}: {reason}", file=sys.stderr)
+            row = {}
         return {name: row.get(name, np.nan) for name in ("seconds", "residual", "sweeps")}
 
     return local if isinstance(chosen, Configured) else whole
@@ -130,9 +135,8 @@ def files(folder: Path, names: Sequence[str], repetitions: int) -> pd.DataFrame:
 
 def roofline(most: int, repetitions: int) -> pd.DataFrame:
     """A visit that moves its contact, beside the time to read its blocks from memory and to push them."""
-    rows = [
-        row_of_roofline(lay_out(strands(*case)), repetitions) for case in YARDSTICKS[:2] if case[0] <= most
-    ]
+    cases = (*YARDSTICKS[:2], *((n, 0.3, 3) for n in SIZES[-2:]))  # the blocks of the last are in no cache
+    rows = [row_of_roofline(lay_out(strands(*case)), repetitions) for case in cases if case[0] <= most]
     return pd.DataFrame(rows)
 
 

@@ -98,4 +98,4 @@ def code() -> str:
     """Key of the package's sources that decide the numbers, the local solvers aside."""
     package = Path(fibercontact.__file__).parent
     rooms = [file for room in ("problem", "gauss_seidel") for file in (package / room).rglob("*.py")]
-    return content_key([package / "jit.py", package / "bench" / "passes.py", *rooms])
+    return content_key([package / "jit.py", package / "lanes.py", package / "bench" / "passes.py", *rooms])

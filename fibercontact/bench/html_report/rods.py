@@ -10,7 +10,7 @@ from fibercontact.problem.fclib import read
 from fibercontact.simulation.pictures.scene_page import scene_page
 from fibercontact.simulation.pictures.shown import show
 from fibercontact.simulation.pictures.still import caption
-from fibercontact.simulation.scenes import HEADS, SCENES, build
+from fibercontact.simulation.scenes import NAMED, build
 from fibercontact.simulation.step import Step, simulate
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def rods_of(entry: Entry) -> Rods:
     """
     try:
         name, index = origin(entry)
-        if name.partition("@")[0] not in {known.partition("@")[0] for known in (*SCENES, *HEADS)}:
+        if name.partition("@")[0] not in {known.partition("@")[0] for known in NAMED}:
             return Rods(None, f"Its rods are not known: the scene {name!r} is none of the project's own.")
         scene = build(name)
         if index >= scene.steps:
