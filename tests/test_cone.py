@@ -203,6 +203,14 @@ def test_natural_map_sees_every_way_to_break_the_law(facets, case, sigma):
     assert norm(natural_map(u, r, 0.5, sigma, facets)) > 1e-3
 
 
+@pytest.mark.parametrize("facets", [0, 4, 8])
+@pytest.mark.parametrize("size", [1e6, 1e16, 1e30, 1e150])
+def test_natural_map_sees_a_velocity_under_an_impulse_of_any_size(facets, size):
+    """Where `sigma r - ũ` is `sigma r` to the last bit: inside the cone and on its surface."""
+    for r in ((size, 0.0, 0.0), (size, 0.3 * size, 0.0), (size, 0.5 * size, 0.0)):
+        assert norm(natural_map((-1.0, 0.0, 0.0), r, 0.5, 1.0, facets)) >= 1.0
+
+
 @given(vectors(), vectors(), FRICTION, st.floats(1e-3, 1e3), LAWS)
 def test_natural_map_is_the_oracle_s(u, r, mu, sigma, facets):
     expected = oracles.natural_map(u, r, mu, sigma, facets)

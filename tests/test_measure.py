@@ -153,3 +153,9 @@ def test_defects_are_maxima_and_do_not_cancel():
     found = measure(problem(np.eye(15), u - r, np.full(5, 0.5)), r)
     for name in SLIPPING:
         assert getattr(found, name) == pytest.approx(max(c[2][name] for c in cases)), name
+
+
+@pytest.mark.parametrize("size", 10.0 ** np.arange(0, 150, 7.5))
+def test_no_impulse_is_an_answer_between_walls_that_close_in(size):
+    """However large: two of them that balance leave the penetration as it is, though `r - P_K(r - u)` rounds to 0."""
+    assert measure(oracles.walls(), np.array([size, 0, 0, size, 0, 0])).coulomb >= 1.0

@@ -5,8 +5,8 @@ gamma the Tikhonov-regularised least-squares solution of `min |f_m - ΔF gamma|`
 the residual more than doubles.
 
 The velocity `W r + b` of a combination of impulses is the same combination of their velocities, which are kept, so
-that an extrapolation needs no product with `W`. It grows rounding by the size of the gamma, hence a fresh product
-every few maps.
+that an extrapolation needs no product with `W`. Rounding in them grows with the size of the gamma; now and then a
+fresh product is due.
 
 All but the few numbers of the normal equations is done for a range of contacts at a time, by whoever has it.
 
@@ -41,7 +41,9 @@ class Memory(NamedTuple):
     v: Array  # (velocities,) of the last map
     scale: Array  # (size,) of the variable in which maps are compared
     normal: Array  # (window, window): dF dFᵀ
-    state: Array  # (2,): maps done since the memory was dropped, residual after the last map
+    state: (
+        Array  # (3,): maps done since the memory was dropped, residual after the last map, growth of rounding
+    )
 
     def own(self) -> "Memory":
         """The same memory for another thread, which keeps its own few numbers."""
@@ -61,7 +63,9 @@ class Acceleration:
         dF, dG = np.zeros((2, self.window, len(scale)))
         x, f, g = np.zeros((3, len(scale)))
         dV, v = np.zeros((self.window, velocities)), np.zeros(velocities)
-        return Memory(dF, dG, dV, x, f, g, v, scale, np.zeros((self.window, self.window)), np.zeros(2))
+        return Memory(
+            dF, dG, dV, x, f, g, v, scale, np.zeros((self.window, self.window)), np.array([0.0, 0.0, 1.0])
+        )
 
 
 def no_memory() -> Memory:

@@ -47,8 +47,8 @@ PATIENCE = 5
 CURE = 0.05
 """Proximal term that is then put in force: a contact with several solutions no longer jumps between them."""
 
-FRESH = 8
-"""Maps from one product with `W` to the next, unless the memory is dropped."""
+GROWTH = 1e4
+"""By how much rounding in the velocity may have grown in extrapolations until a product with `W` is due."""
 
 Array = NDArray[np.float64]
 
@@ -133,7 +133,9 @@ def accelerate(s: BlockSystem, how: Sweeper, m: Memory, state: State, residual: 
         m.x[3 * first : 3 * end] = state.r[3 * first : 3 * end]
         visit_infeasible(s, how.facets, state.r, first, end, state.still)
     wait(team)
-    if row < 0 or m.state[0] % FRESH == 0:
+    m.state[2] *= 1.0 + 2.0 * np.abs(gamma).sum()
+    if row < 0 or m.state[2] > GROWTH:
+        m.state[2] = 1.0
         write_velocity(s, state.parts, state.r, team, state.u)
 
 

@@ -200,6 +200,8 @@ class GaussSeidel:
                 rescue, best = self._rescue(system, b_ref, state, crew.members, best, began)
                 reached = best <= how.target
             elapsed = time.perf_counter() - began
+        if not reached and math.isfinite(best):  # one that is reached has been confirmed
+            best = _afresh(system, state, how.facets)
         past = past[: done + 1] / (b_ref or 1.0) if history else past
         outcome = _outcome(reached, best, done >= self.max_sweeps)
         residual = relative(best, b_ref)
@@ -282,6 +284,13 @@ class GaussSeidel:
     def _slice(self, done: int, elapsed: float) -> int:
         """Sweeps until the next look at the clock."""
         return self._step * max(1, int(done * SLICE_SECONDS / max(elapsed, 1e-9)) // self._step)
+
+
+def _afresh(system: BlockSystem, state: State, facets: int) -> float:
+    """The residual of the best impulses, without the rounding that a run gathers in its velocities."""
+    team = alone(len(state.parts.parts) - 1)
+    write_velocity(system, state.parts, state.best_r, team, state.u)
+    return residual_of(system, state._replace(r=state.best_r), facets, team)
 
 
 def _threads(parts: Parts) -> int:

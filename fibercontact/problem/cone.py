@@ -100,11 +100,17 @@ def change_of_variable(u: Vector, mu: float, facets: int) -> Vector:
 
 @jit
 def natural_map(u: Vector, r: Vector, mu: float, sigma: float, facets: int) -> Vector:
-    """`sigma r - P_K(sigma r - ũ)`: zero exactly when `(u, r)` obeys the law (THEORY §2)."""
+    """`sigma r - P_K(sigma r - ũ)`: zero exactly when `(u, r)` obeys the law (THEORY §2).
+
+    With `z = sigma r - ũ` it is taken as `ũ + (z - P_K(z))`, so that an impulse of any size hides no velocity.
+    """
     y = change_of_variable(u, mu, facets)
     x = (sigma * r[0], sigma * r[1], sigma * r[2])
-    p = project((x[0] - y[0], x[1] - y[1], x[2] - y[2]), mu, facets)
-    return (x[0] - p[0], x[1] - p[1], x[2] - p[2])
+    z = (x[0] - y[0], x[1] - y[1], x[2] - y[2])
+    p = project(z, mu, facets)
+    if p[0] == 0.0:  # the apex
+        return x
+    return (y[0] + (z[0] - p[0]), y[1] + (z[1] - p[1]), y[2] + (z[2] - p[2]))
 
 
 @jit
