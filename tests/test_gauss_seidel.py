@@ -93,15 +93,15 @@ def sweeps_from_zero(problem, name, count, proximal=0.0, acceleration=None):
 @pytest.mark.parametrize(
     "problem", [strands(3, rods=3, contacts=5), degenerate()], ids=["regular", "degenerate"]
 )
-def test_velocities_are_extrapolated_with_the_impulses(problem, count):
-    """After each map, whether `W r + b` was computed afresh or not: `sweeps_from_zero` looks."""
+def test_extrapolated_impulses_have_their_velocities(problem, count):
+    """After each map: `sweeps_from_zero` looks."""
     sweeps_from_zero(problem, "secular", count, 0.05, Acceleration(sweeps=1, window=4))
 
 
 @pytest.mark.parametrize("name", ["secular", "pyramid", "pyramid:facets=3"])
 @pytest.mark.parametrize("seed", range(3))
 def test_extrapolated_impulses_end_in_their_cones(name, seed):
-    """Also those of contacts that would be left out."""
+    """Also those of contacts that are left out."""
     problem, c = strands(seed, rods=4, contacts=20), local(name)
     run = solver(name, **LOOPS["accelerated"], tolerance=1e-6, negligible=1.0).solve(problem)
     for r, mu in zip(run.r.reshape(-1, 3), problem.mu, strict=True):

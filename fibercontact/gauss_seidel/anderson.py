@@ -1,12 +1,8 @@
-"""Anderson acceleration (type II) of the map "k sweeps", in the scaled variable `sqrt(sigma_i) r_i`.
+"""Anderson acceleration (type II) of the map "k sweeps", in the scaled variable `x_i = sqrt(sigma_i) r_i`.
 
 With `g_m` the image of the iterate `x_m` and `f_m = g_m - x_m`, the next iterate is `g_m - ΔG gamma` with
 gamma the Tikhonov-regularised least-squares solution of `min |f_m - ΔF gamma|`. The memory is dropped when
 the residual more than doubles.
-
-The velocity `W r + b` of a combination of impulses is the same combination of their velocities, which are kept, so
-that an extrapolation needs no product with `W`. Rounding in them grows with the size of the gamma; now and then a
-fresh product is due.
 
 All but the few numbers of the normal equations is done for a range of contacts at a time, by whoever has it.
 
@@ -23,7 +19,7 @@ from fibercontact.jit import jit, jit_sum
 
 __all__ = [
     "Acceleration", "Memory", "add_products", "begin", "combine", "extrapolate", "forget", "no_memory",
-    "store_image", "store_velocity", "weights",
+    "store", "weights",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -32,18 +28,14 @@ Array = NDArray[np.float64]
 class Memory(NamedTuple):
     """The differences of the last maps, one a row, and the last iterate and map."""
 
-    dF: Array  # (window, size), scaled
-    dG: Array  # (window, size)
-    dV: Array  # (window, velocities): of the velocities of the images
-    x: Array  # (size,) iterate that the next map starts from
-    f: Array  # (size,) of the last map, scaled
-    g: Array  # (size,) of the last map
-    v: Array  # (velocities,) of the last map
-    scale: Array  # (size,) of the variable in which maps are compared
+    dF: Array  # (window, 3n)
+    dG: Array  # (window, 3n)
+    x: Array  # (3n,) iterate that the next map starts from
+    f: Array  # (3n,) of the last map
+    g: Array  # (3n,) of the last map
+    image: Array  # (3n,) of the map at hand, before it is stored
     normal: Array  # (window, window): dF dFᵀ
-    state: (
-        Array  # (3,): maps done since the memory was dropped, residual after the last map, growth of rounding
-    )
+    state: Array  # (2,): maps done since the memory was dropped, residual after the last map
 
     def own(self) -> "Memory":
         """The same memory for another thread, which keeps its own few numbers."""
@@ -58,19 +50,16 @@ class Acceleration:
     window: int = 8
     tikhonov: float = 1e-12
 
-    def memory(self, scale: Array, velocities: int = 0) -> Memory:
-        """An empty memory for vectors compared in this scale (size,), and as many velocities."""
-        dF, dG = np.zeros((2, self.window, len(scale)))
-        x, f, g = np.zeros((3, len(scale)))
-        dV, v = np.zeros((self.window, velocities)), np.zeros(velocities)
-        return Memory(
-            dF, dG, dV, x, f, g, v, scale, np.zeros((self.window, self.window)), np.array([0.0, 0.0, 1.0])
-        )
+    def memory(self, size: int) -> Memory:
+        """An empty memory for impulses of this size."""
+        dF, dG = np.zeros((2, self.window, size))
+        x, f, g, image = np.zeros((4, size))
+        return Memory(dF, dG, x, f, g, image, np.zeros((self.window, self.window)), np.zeros(2))
 
 
 def no_memory() -> Memory:
     """The memory of a run that is not accelerated."""
-    return Acceleration(window=0).memory(np.zeros(0))
+    return Acceleration(window=0).memory(0)
 
 
 def forget(m: Memory) -> None:
@@ -91,29 +80,17 @@ def begin(m: Memory, residual: float) -> tuple[int, int]:
 
 
 @jit
-def store_image(m: Memory, image: Array, row: int, first: int, end: int) -> None:
-    """Store the map `m.x -> image`: its differences to the map before, in place of the oldest."""
-    x, f, g, scale = m.x, m.f, m.g, m.scale
+def store(m: Memory, row: int, first: int, end: int) -> None:
+    """Store the map `m.x -> m.image`: its differences to the map before, in place of the oldest."""
+    image, x, f, g = m.image, m.x, m.f, m.g
     if row >= 0:
         dF, dG = m.dF[row], m.dG[row]
         for k in range(first, end):
-            dF[k] = scale[k] * (image[k] - x[k]) - f[k]
+            dF[k] = image[k] - x[k] - f[k]
             dG[k] = image[k] - g[k]
     for k in range(first, end):
-        f[k] = scale[k] * (image[k] - x[k])
+        f[k] = image[k] - x[k]
         g[k] = image[k]
-
-
-@jit
-def store_velocity(m: Memory, velocity: Array, row: int, first: int, end: int) -> None:
-    """Store the velocity of that image."""
-    v = m.v
-    if row >= 0:
-        dV = m.dV[row]
-        for k in range(first, end):
-            dV[k] = velocity[k] - v[k]
-    for k in range(first, end):
-        v[k] = velocity[k]
 
 
 @jit_sum
@@ -153,32 +130,28 @@ def weights(m: Memory, row: int, count: int, sums: Array, tikhonov: float) -> Ar
 
 
 @jit
-def combine(last: Array, differences: Array, gamma: Array, first: int, end: int, out: Array) -> None:
-    """Write `last - differencesᵀ gamma` into `out`; four rows at a time, which is read once for them."""
-    count = len(gamma)
-    out[first:end] = last[first:end]
+def combine(m: Memory, gamma: Array, first: int, end: int) -> None:
+    """Write the next iterate, `g - ΔG gamma`, into `m.x`; four rows at a time, which is read once for them."""
+    x, dG, count = m.x, m.dG, len(gamma)
+    x[first:end] = m.g[first:end]
     for w in range(0, count, 4):
         rows = (w, min(w + 1, count - 1), min(w + 2, count - 1), min(w + 3, count - 1))
         a, b = gamma[w], gamma[rows[1]] if w + 1 < count else 0.0
         c, d = gamma[rows[2]] if w + 2 < count else 0.0, gamma[rows[3]] if w + 3 < count else 0.0
-        row0, row1, row2, row3 = (
-            differences[rows[0]],
-            differences[rows[1]],
-            differences[rows[2]],
-            differences[rows[3]],
-        )
+        row0, row1, row2, row3 = dG[rows[0]], dG[rows[1]], dG[rows[2]], dG[rows[3]]
         for k in range(first, end):
-            out[k] -= (a * row0[k] + b * row1[k]) + (c * row2[k] + d * row3[k])
+            x[k] -= (a * row0[k] + b * row1[k]) + (c * row2[k] + d * row3[k])
 
 
 @jit
 def extrapolate(m: Memory, image: Array, residual: float, tikhonov: float) -> None:
     """Store the map `m.x -> image`, whose residual is given, and write the next iterate into `m.x`."""
+    m.image[:] = image
     row, count = begin(m, residual)
-    store_image(m, image, row, 0, len(image))
+    store(m, row, 0, len(image))
     gamma = np.zeros(count)
     if count > 0:
         sums = np.zeros((2, count))
         add_products(m, row, count, 0, len(image), sums)
         gamma = weights(m, row, count, sums, tikhonov)
-    combine(m.g, m.dG, gamma, 0, len(image), m.x)
+    combine(m, gamma, 0, len(image))

@@ -12,15 +12,7 @@ from numba import types
 from numba.core import config
 from numpy.typing import NDArray
 
-from fibercontact.gauss_seidel.anderson import (
-    Memory,
-    add_products,
-    begin,
-    combine,
-    store_image,
-    store_velocity,
-    weights,
-)
+from fibercontact.gauss_seidel.anderson import Memory, add_products, begin, combine, store, weights
 from fibercontact.gauss_seidel.blocks import (
     BlockSystem,
     new_velocity,
@@ -36,9 +28,9 @@ from fibercontact.gauss_seidel.visit_log import CURED, VisitLog
 from fibercontact.jit import jit
 from fibercontact.local.contract import KERNEL_SIGNATURE, SEVERAL_SIGNATURE
 from fibercontact.local.several import one_by_one
-from fibercontact.problem.cone import COULOMB, project
+from fibercontact.problem.cone import project
 
-__all__ = ["MARK", "State", "compile_loop", "new_guard", "new_state", "run_sweeps"]
+__all__ = ["MARK", "State", "compile_loop", "new_guard", "new_state", "run_sweeps", "scale_impulse"]
 
 MARK = 100
 """Sweeps between two looks at whether the run cycles."""
@@ -46,9 +38,6 @@ PATIENCE = 5
 """Looks without a new least residual after which it does."""
 CURE = 0.05
 """Proximal term that is then put in force: a contact with several solutions no longer jumps between them."""
-
-GROWTH = 1e4
-"""By how much rounding in the velocity may have grown in extrapolations until a product with `W` is due."""
 
 Array = NDArray[np.float64]
 
@@ -74,23 +63,25 @@ def new_state(s: BlockSystem, parts: Parts, r: Array, window: int, threads: int)
 
 
 @jit
-def visit_infeasible(s: BlockSystem, facets: int, r: Array, first: int, end: int, still: Array) -> None:
-    """Have those of the contacts `first..end` visited whose impulse may be outside its cone."""
-    friction, share = s.mu, 1.0 if facets == COULOMB else math.cos(math.pi / facets)
+def scale_impulse(s: BlockSystem, r: Array, first: int, end: int, x: Array) -> None:
+    """Write `sqrt(sigma_i) r_i` of the contacts `first..end` into `x`."""
+    sigma = s.sigma
     for i in range(first, end):
-        r0, r1, r2 = r[3 * i], r[3 * i + 1], r[3 * i + 2]
-        limit = share * friction[i] * r0
-        if r0 < 0.0 or r1 * r1 + r2 * r2 > limit * limit:
-            still[STRIDE * i] = math.inf
+        scale = math.sqrt(sigma[i])
+        for c in range(3 * i, 3 * i + 3):
+            x[c] = scale * r[c]
 
 
 @jit
-def into_cones(s: BlockSystem, facets: int, r: Array, first: int, end: int) -> None:
-    """Project the impulses of the contacts `first..end`, which a visit left outside by what is negligible."""
-    friction = s.mu
+def into_cones(s: BlockSystem, facets: int, x: Array, first: int, end: int, r: Array) -> None:
+    """Project the impulses of the scaled variable `x` on their cones, into `r` and, scaled, into `x`."""
+    sigma, mu = s.sigma, s.mu
     for i in range(first, end):
-        p = project((r[3 * i], r[3 * i + 1], r[3 * i + 2]), friction[i], facets)
-        r[3 * i], r[3 * i + 1], r[3 * i + 2] = p[0], p[1], p[2]
+        k, root = 3 * i, math.sqrt(sigma[i])
+        scale = 1.0 / root
+        p = project((scale * x[k], scale * x[k + 1], scale * x[k + 2]), mu[i], facets)
+        r[k], r[k + 1], r[k + 2] = p[0], p[1], p[2]
+        x[k], x[k + 1], x[k + 2] = root * p[0], root * p[1], root * p[2]
 
 
 @jit
@@ -112,31 +103,23 @@ def residual_of(s: BlockSystem, state: State, facets: int, team: Team) -> float:
 
 @jit
 def accelerate(s: BlockSystem, how: Sweeper, m: Memory, state: State, residual: float, team: Team) -> None:
-    """One Anderson step: replace `r`, the image of `m.x`, and `u` by the extrapolated impulse and its velocity.
-
-    An impulse may be outside of its cone until its contact is visited.
-    """
+    """One Anderson step: replace `r`, the image of `m.x`, by the extrapolated impulse."""
     n, ranges = len(s.mu), len(state.sums)
     row, count = begin(m, residual)
     for k in range(team.rank, ranges, team.size):
         first, end = of_range(n, ranges, k)
-        store_image(m, state.r, row, 3 * first, 3 * end)
-        store_velocity(m, state.u, row, STRIDE * first, STRIDE * end)
+        scale_impulse(s, state.r, first, end, m.image)
+        store(m, row, 3 * first, 3 * end)
         if count > 0:
             add_products(m, row, count, 3 * first, 3 * end, state.sums[k, 1:])
     wait(team)
     gamma = weights(m, row, count, state.sums[:, 1:].sum(axis=0), how.tikhonov) if count > 0 else np.zeros(0)
     for k in range(team.rank, ranges, team.size):
         first, end = of_range(n, ranges, k)
-        combine(m.g, m.dG, gamma, 3 * first, 3 * end, state.r)
-        combine(m.v, m.dV, gamma, STRIDE * first, STRIDE * end, state.u)
-        m.x[3 * first : 3 * end] = state.r[3 * first : 3 * end]
-        visit_infeasible(s, how.facets, state.r, first, end, state.still)
+        combine(m, gamma, 3 * first, 3 * end)
+        into_cones(s, how.facets, m.x, first, end, state.r)
     wait(team)
-    m.state[2] *= 1.0 + 2.0 * np.abs(gamma).sum()
-    if row < 0 or m.state[2] > GROWTH:
-        m.state[2] = 1.0
-        write_velocity(s, state.parts, state.r, team, state.u)
+    write_velocity(s, state.parts, state.r, team, state.u)
 
 
 def new_guard(proximal: float) -> Array:
@@ -181,9 +164,8 @@ def run_sweeps(
     """Sweep until the target or until `budget` sweeps in all; returns (sweeps done, best residual, reached).
 
     The state is updated in place, `history[k]` (when long enough) is the residual after sweep k where it was
-    evaluated. A residual that meets the target is confirmed on impulses in their cones and a velocity
-    computed afresh. The best residual is returned as NaN when an iterate is not finite. `m`, `guard` and `visits` are
-    the thread's own.
+    evaluated. A residual that meets the target is confirmed on a velocity computed afresh. The best residual is
+    returned as NaN when an iterate is not finite. `m`, `guard` and `visits` are the thread's own.
     """
     first, end = share(len(s.b), team)
     while done < budget:
@@ -209,9 +191,6 @@ def run_sweeps(
             continue
         residual = residual_of(s, state, how.facets, team)
         if residual <= how.target:
-            if how.period > 0:
-                mine, others = share(len(s.mu), team)
-                into_cones(s, how.facets, state.r, mine, others)
             write_velocity(s, state.parts, state.r, team, state.u)
             residual = residual_of(s, state, how.facets, team)
         if done < len(history):
@@ -249,7 +228,7 @@ _SIGNATURE = types.Tuple((_I, _F, types.boolean))(
     types.NamedTuple((_I, _F, _F, _I, _I, _F, types.boolean, _I), Sweeper),
     types.NamedTuple((_PARTS, *4 * (_VECTOR,), types.float64[:, :, ::1], _COUNTS), State),
     types.NamedTuple((_I, _I, _COUNTS, _INDEX), Team),
-    types.NamedTuple((*3 * (_MATRIX,), *5 * (_VECTOR,), _MATRIX, _VECTOR), Memory),
+    types.NamedTuple((_MATRIX, _MATRIX, *4 * (_VECTOR,), _MATRIX, _VECTOR), Memory),
     _VECTOR, _COUNTS,
     types.NamedTuple((_TABLE, _VECTOR, _TABLE, _MATRIX, _MATRIX, _MATRIX, _COUNTS), VisitLog),
     _VECTOR, _F, _I, _I,

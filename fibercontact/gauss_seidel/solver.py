@@ -22,11 +22,11 @@ from fibercontact.gauss_seidel.loop import (
     new_state,
     residual_of,
     run_sweeps,
+    scale_impulse,
 )
 from fibercontact.gauss_seidel.parts import Parts, owners, undivided
 from fibercontact.gauss_seidel.sweep import COUNTERS, Sweeper
 from fibercontact.gauss_seidel.team import alone, gather
-from fibercontact.gauss_seidel.vectors import STRIDE
 from fibercontact.gauss_seidel.visit_log import VisitLog, check_log, no_log
 from fibercontact.lanes import LANES
 from fibercontact.local.contract import Status
@@ -224,10 +224,9 @@ class GaussSeidel:
 
     def _members(self, system: BlockSystem, state: State, threads: int) -> list[Member]:
         """What each thread of a run has for its own."""
-        memory = no_memory()
+        memory = self.acceleration.memory(len(state.r)) if self.acceleration else no_memory()
         if self.acceleration:
-            memory = self.acceleration.memory(np.repeat(np.sqrt(system.sigma), 3), STRIDE * len(system.mu))
-            memory.x[:] = state.r
+            scale_impulse(system, state.r, 0, len(system.mu), memory.x)
         return [
             Member(team, memory.own(), new_guard(self.proximal), np.zeros(COUNTERS, dtype=np.int64))
             for team in gather(threads, owners(state.parts, system.starts, threads))
@@ -257,7 +256,7 @@ class GaussSeidel:
             state.still[:] = np.inf
             for member in members if self.acceleration else ():
                 forget(member.memory)
-                member.memory.x[:] = state.r
+                scale_impulse(system, state.r, 0, len(system.mu), member.memory.x)
         return run.iterations, best
 
     def _sweeper(self, b_ref: float) -> Sweeper:
