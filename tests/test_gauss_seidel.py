@@ -388,7 +388,7 @@ def test_regimes_are_those_of_the_solution():
 def test_acceleration_reaches_what_plain_sweeps_do_not(seed):
     problem = strands(seed, dofs=6, contacts=24, mu=0.3)
     assert np.linalg.matrix_rank(problem.W.toarray()) == 24 < 3 * problem.n
-    how = {"tolerance": 1e-10, "max_sweeps": 1000}
+    how = {"tolerance": 1e-10, "max_sweeps": 2000}
     plain = solver(**how).solve(problem)
     accelerated = solver(**how, proximal=0.05, acceleration=Acceleration(PERIOD, 8)).solve(problem)
     assert not plain.claimed
