@@ -27,7 +27,7 @@ def cluster(tmp_path_factory):
         threads_per_worker=1,
         processes=True,
         host="127.0.0.1",
-        dashboard_address=None,
+        dashboard_address=":0",
         local_directory=str(folder),
         silence_logs=50,
     ) as cluster:
@@ -40,7 +40,7 @@ def told(rows):
 
 
 class Killing(Silent):
-    """Kills a worker of the cluster that is at work when the first row arrives."""
+    """Kills a worker of the cluster: the first that is at work when a row arrives."""
 
     def __init__(self, address):
         super().__init__()
@@ -50,8 +50,9 @@ class Killing(Silent):
         if not self.killed:
             with distributed.Client(self.address, set_as_default=False) as client:
                 busy = [worker for worker, tasks in client.processing().items() if tasks]
-                self.killed = list(client.run(os.getpid, workers=busy[:1]).values())
-            os.kill(self.killed[0], signal.SIGKILL)
+                self.killed = list(client.run(os.getpid, workers=busy[:1]).values()) if busy else []
+            for process in self.killed:
+                os.kill(process, signal.SIGKILL)
 
 
 @pytest.fixture
@@ -79,7 +80,7 @@ def test_a_cluster_that_adapts_starts_workers_for_a_run(tmp_path):
         n_workers=0,
         threads_per_worker=1,
         host="127.0.0.1",
-        dashboard_address=None,
+        dashboard_address=":0",
         local_directory=str(tmp_path),
         silence_logs=50,
     ) as cluster:
