@@ -39,7 +39,7 @@ STICK_MARGIN = 1.0 - 1e-9
 FEW = 3
 """Contacts from which on it is worth while to solve them at once."""
 
-AHEAD = 4
+FETCHED = 4
 """Cache lines of a row that are fetched before its contact is solved; the processor sees for itself what follows."""
 
 V, R, MU, PROXIMAL, DONE, STEPS, ROWS = 9, 12, 15, 16, 17, 18, 19
@@ -182,7 +182,7 @@ def sweep_part(
                         record_left_out(log, found)
                     continue
             together[count] = i
-            for line in range(AHEAD):
+            for line in range(FETCHED):
                 fetch(blocks, 9 * starts[i] + LINE * line)
             if how.width > 1:
                 for k in range(9):
