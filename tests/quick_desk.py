@@ -3,6 +3,8 @@
 import hashlib
 import time
 
+from listeners import Silent
+
 from fibercontact.bench import run as run_module
 from fibercontact.bench.rows import RowFile
 from fibercontact.bench.worker import Worker
@@ -36,18 +38,7 @@ class Here(Worker):
         return getattr(self._desk, name)(*arguments)
 
 
-class Nobody:
-    def now(self, problem, solver):
-        pass
-
-    def row(self, unit, row):
-        pass
-
-    def note(self, text):
-        pass
-
-
 def measure(plan, folder):
     """Run a plan with such a desk."""
     run_module.Worker = Here
-    run_module.run(plan, RowFile(folder), Nobody())
+    run_module.run(plan, RowFile(folder), Silent())

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from listeners import Silent
 from scipy.sparse import csr_array, eye_array
 
 import fibercontact
@@ -89,20 +90,6 @@ def write_set(folder, problems, mu=0.3, contacts=4):
     for k in range(problems):
         write(folder / f"chain-{k:02}.hdf5", chain(contacts, k, mu))
     return folder
-
-
-class Silent:
-    def __init__(self):
-        self.notes = []
-
-    def now(self, problem, solver):
-        pass
-
-    def row(self, unit, row):
-        pass
-
-    def note(self, text):
-        self.notes.append(text)
 
 
 def plan_for(folder, solvers, plugins=(), timed=("mid",), **settings):

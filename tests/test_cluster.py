@@ -4,7 +4,8 @@ import os
 import signal
 
 import pytest
-from test_bench_run import Silent, method, plan_for, plugin, write_set
+from listeners import Silent
+from test_bench_run import method, plan_for, plugin, write_set
 from typer.testing import CliRunner
 
 from fibercontact.bench.problem_set import load_set

@@ -80,35 +80,13 @@ BROKEN = {
     ),
 }
 COMMANDS = {
-    "info": ["info", "FILE"],
-    "solve": ["solve", "FILE", "--solver", "secular"],
-    "explain": ["explain", "FILE", "secular", "--out", "OUT"],
-    "render": ["render", "FILE", "--out", "OUT/a.html"],
-    "table": [
-        "table",
-        "--set",
-        "SET",
-        "--solvers",
-        "secular",
-        "--rates",
-        "low",
-        "--out",
-        "OUT",
-        "--jobs",
-        "1",
-    ],
-    "validate": [
-        "validate",
-        "--set",
-        "SET",
-        "--solvers",
-        "secular",
-        "--out",
-        "OUT",
-        "--references",
-        "OUT/r.hdf5",
-    ],
-    "reference": ["reference", "SET", "--out", "OUT/r.hdf5", "--jobs", "1"],
+    "info": "info FILE",
+    "solve": "solve FILE --solver secular",
+    "explain": "explain FILE secular --out OUT",
+    "render": "render FILE --out OUT/a.html",
+    "table": "table --set SET --solvers secular --rates low --out OUT --jobs 1",
+    "validate": "validate --set SET --solvers secular --out OUT --references OUT/r.hdf5",
+    "reference": "reference SET --out OUT/r.hdf5 --jobs 1",
 }
 CASES = [(command, how) for command in ("info", "solve", "explain", "render") for how in BROKEN] + [
     (command, how) for command in ("table", "validate", "reference") for how in ("NaN", "pipe")
@@ -126,7 +104,9 @@ def test_a_broken_file_is_one_line(tmp_path, command, how):
     damage(path)
     (tmp_path / "out").mkdir()
     places = {"FILE": path, "SET": path.parent}
-    arguments = [str(places.get(a, a)).replace("OUT", str(tmp_path / "out")) for a in COMMANDS[command]]
+    arguments = [
+        str(places.get(a, a)).replace("OUT", str(tmp_path / "out")) for a in COMMANDS[command].split()
+    ]
     result = call(*arguments)
     assert is_one_error(result, path.name, fault if command not in ("explain", "render") else "")
 
@@ -381,32 +361,11 @@ except KeyboardInterrupt:
 main()
 """
 LONG = {
-    "solve": ["solve", "FILE", "--solver", "pac", "--accuracy", "full", "--max-sweeps", "100000000"],
-    "table": [
-        "table",
-        "--set",
-        "SET",
-        "--solvers",
-        "secular",
-        "--accuracy",
-        "low",
-        "--jobs",
-        "1",
-        "--out",
-        "OUT",
-    ],
-    "reference": ["reference", "SET", "--out", "OUT.hdf5", "--jobs", "1"],
-    "simulate": [
-        "simulate",
-        "wisp-straight-19-mu0.3",
-        "--steps",
-        "12",
-        "--out",
-        "OUT",
-        "--checkpoint-every",
-        "1",
-    ],
-    "corpus": ["corpus", "build", "rods102", "--out", "OUT"],
+    "solve": "solve FILE --solver pac --accuracy full --max-sweeps 100000000",
+    "table": "table --set SET --solvers secular --accuracy low --jobs 1 --out OUT",
+    "reference": "reference SET --out OUT.hdf5 --jobs 1",
+    "simulate": "simulate wisp-straight-19-mu0.3 --steps 12 --out OUT --checkpoint-every 1",
+    "corpus": "corpus build rods102 --out OUT",
 }
 
 
@@ -442,7 +401,7 @@ def test_an_interruption_is_a_sentence_at_every_stage(tmp_path, command, code, a
     for seed in range(3):
         write(tmp_path / "set" / f"{seed}.hdf5", strands(seed, contacts=200, rods=20))
     places = {"FILE": tmp_path / "set" / "0.hdf5", "SET": tmp_path / "set"}
-    arguments = [str(places.get(a, a)).replace("OUT", str(tmp_path / "out")) for a in LONG[command]]
+    arguments = [str(places.get(a, a)).replace("OUT", str(tmp_path / "out")) for a in LONG[command].split()]
     returncode, said = interrupted(arguments, after, code)
     assert "Traceback" not in said, said
     assert returncode == 0 or "interrupted" in said, (returncode, said)

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import typer
-from oracles import strands
+from oracles import strands, walls
 from typer.testing import CliRunner
 
 from fibercontact.bench.problem_set import load_set
@@ -38,9 +38,7 @@ def folder(tmp_path):
     for seed in (1, 2):
         write(folder / f"strands{seed}.hdf5", strands(seed))
     write(folder / "strands3.hdf5", strands(3, mu=0.8).condense())
-    squeezed = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(3))
-    b = np.array([-1.0, 0.0, 0.0, -1.0, 0.0, 0.0])
-    write(folder / "squeezed.hdf5", IncrementalProblem.from_sparse(squeezed, b, np.full(2, 0.3)))
+    write(folder / "squeezed.hdf5", walls())
     write(folder / "large.hdf5", strands(4, contacts=20))
     return folder
 

@@ -6,6 +6,7 @@ import json
 import h5py
 import numpy as np
 import pytest
+from listeners import Silent
 from scipy.sparse import csr_array, eye_array
 from typer.testing import CliRunner
 
@@ -241,17 +242,6 @@ def test_names_of_logs_tell_runs_apart(folder):
 
 
 # A run of the table
-
-
-class Silent:
-    def now(self, problem, solver):
-        pass
-
-    def row(self, unit, row):
-        pass
-
-    def note(self, text):
-        pass
 
 
 def plan(folder, solvers=("secular", FAILING), **settings):
