@@ -1,5 +1,6 @@
 """`python -m fibercontact` is the same as `fibercontact`."""
 
+import signal
 import sys
 from typing import NoReturn
 
@@ -19,6 +20,9 @@ def main() -> None:
         if isinstance(cause, KeyboardInterrupt):
             _say_interrupted()
         raise
+    finally:  # all is done and said: while Python ends, which takes 0.1 s, a signal would kill it without a word
+        for code in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(code, signal.SIG_IGN)
 
 
 def _say_interrupted() -> NoReturn:
