@@ -15,8 +15,8 @@ from fibercontact.problem.cone import natural_map
 from fibercontact.problem.incremental import IncrementalProblem
 
 __all__ = [
-    "BlockSystem", "block_system", "flush", "matrix", "new_velocity", "residual_from", "root_mean_square", "squares",
-    "velocity", "write_velocity",
+    "BlockSystem", "block_system", "flush", "matrix", "new_velocity", "push", "residual_from", "root_mean_square",
+    "squares", "velocity", "write_velocity",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -90,12 +90,15 @@ def push_impulses(
     first: int,
     end: int,
     r: Array,
+    some: NDArray[np.bool_],
     u: Array,
 ) -> None:
     """`u += W_:i r_i` for the visits `first..end`; `W` is symmetric, so block row i serves as block column i."""
     starts, blocks = s.starts, s.blocks
     for visit in range(first, end):
         i = order[visit]
+        if len(some) > 0 and not some[i]:
+            continue
         r0, r1, r2 = r[3 * i], r[3 * i + 1], r[3 * i + 2]
         if r0 != 0.0 or r1 != 0.0 or r2 != 0.0:
             for j in range(starts[i], starts[i + 1]):
@@ -110,10 +113,21 @@ def write_velocity(s: BlockSystem, parts: Parts, r: Array, team: Team, u: Array)
     for i in range(first, end):
         u[STRIDE * i], u[STRIDE * i + 1], u[STRIDE * i + 2] = b[3 * i], b[3 * i + 1], b[3 * i + 2]
     wait(team)
+    push(s, parts, r, np.zeros(0, np.bool_), team, u)
+
+
+@jit
+def push(s: BlockSystem, parts: Parts, r: Array, some: NDArray[np.bool_], team: Team, u: Array) -> None:
+    """Add `W r` to `u`, which the whole team needs, with the impulses of `some` contacts (n,), or all (0,).
+
+    Contacts without impulse cost nothing.
+    """
     for phase in range(len(parts.phases) - 1):
         for part in range(parts.phases[phase], parts.phases[phase + 1]):
             if team.owner[part] == team.rank:
-                push_impulses(s, parts.order, parts.targets, parts.parts[part], parts.parts[part + 1], r, u)
+                push_impulses(
+                    s, parts.order, parts.targets, parts.parts[part], parts.parts[part + 1], r, some, u
+                )
         flush(parts, phase, team, u)
 
 

@@ -58,10 +58,7 @@ class Crew:
     def sweep(self, sweeps: Callable[[Member], Answer], count: int, failed: NDArray[np.int64]) -> Answer:
         """Do `count` sweeps; `failed` (members,) is told the local failures that each has seen."""
         for k, member in enumerate(self.members):
-            member.memory.normal[:], member.memory.state[:] = (
-                self._one[0].memory.normal,
-                self._one[0].memory.state,
-            )
+            member.memory.copy_numbers(self._one[0].memory)
             member.guard[:] = self._one[0].guard
             failed[k] = member.visits[1 : LAST_FAILURE + 1].sum()
         began = time.perf_counter()

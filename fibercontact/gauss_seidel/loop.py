@@ -12,10 +12,21 @@ from numba import types
 from numba.core import config
 from numpy.typing import NDArray
 
-from fibercontact.gauss_seidel.anderson import Memory, add_products, begin, combine, store, weights
+from fibercontact.gauss_seidel.anderson import (
+    SUMS,
+    Memory,
+    add_products,
+    begin,
+    combine,
+    grow,
+    store,
+    store_velocity,
+    weights,
+)
 from fibercontact.gauss_seidel.blocks import (
     BlockSystem,
     new_velocity,
+    push,
     root_mean_square,
     squares,
     write_velocity,
@@ -28,9 +39,9 @@ from fibercontact.gauss_seidel.visit_log import CURED, VisitLog
 from fibercontact.jit import jit
 from fibercontact.local.contract import KERNEL_SIGNATURE, SEVERAL_SIGNATURE
 from fibercontact.local.several import one_by_one
-from fibercontact.problem.cone import project
+from fibercontact.problem.cone import COULOMB, project
 
-__all__ = ["MARK", "State", "compile_loop", "new_guard", "new_state", "run_sweeps", "scale_impulse"]
+__all__ = ["MARK", "State", "compile_loop", "new_guard", "new_state", "run_sweeps"]
 
 MARK = 100
 """Sweeps between two looks at whether the run cycles."""
@@ -38,6 +49,14 @@ PATIENCE = 5
 """Looks without a new least residual after which it does."""
 CURE = 0.05
 """Proximal term that is then put in force: a contact with several solutions no longer jumps between them."""
+
+RANGE = 512
+"""Contacts that are added up, stored and combined at a time: their vectors stay in the nearest caches."""
+PUT_BACK = 0.1
+"""Share of the residual that an extrapolated impulse may be outside its cone by, until its next visit."""
+DRIFT = 0.01
+"""Share of the target that rounding in combined velocities may come to, before they are computed afresh."""
+EPSILON = float(np.finfo(np.float64).eps)
 
 Array = NDArray[np.float64]
 
@@ -50,7 +69,9 @@ class State(NamedTuple):
     u: Array  # velocity, see `blocks.new_velocity`
     still: Array  # as u: velocity at a contact's last visit if that changed nothing, else infinite
     best_r: Array  # (3n,)
-    sums: Array  # (ranges, 3, window or 1)
+    outside: NDArray[np.bool_]  # (n,) whether the extrapolated impulse had to be put back into its cone
+    moved: Array  # (3n,) by how much, where it had to
+    sums: Array  # (ranges, 1 + SUMS, window or 1)
     failed: NDArray[np.int64]  # (team,) local failures that each thread has seen
 
 
@@ -58,30 +79,49 @@ def new_state(s: BlockSystem, parts: Parts, r: Array, window: int, threads: int)
     """The state of a run that begins at the impulse `r`."""
     u = new_velocity(parts)
     write_velocity(s, parts, r, alone(len(parts.parts) - 1), u)
-    sums = np.zeros((int(parts.phases[1]), 3, max(1, window)))
-    return State(parts, r, u, np.full_like(u, np.inf), r.copy(), sums, np.zeros(threads, dtype=np.int64))
+    n = len(s.mu)
+    sums = np.zeros((n // RANGE + 1, 1 + SUMS, max(1, window)))
+    still, failed = np.full_like(u, np.inf), np.zeros(threads, dtype=np.int64)
+    return State(parts, r, u, still, r.copy(), np.zeros(n, np.bool_), np.zeros(3 * n), sums, failed)
 
 
 @jit
-def scale_impulse(s: BlockSystem, r: Array, first: int, end: int, x: Array) -> None:
-    """Write `sqrt(sigma_i) r_i` of the contacts `first..end` into `x`."""
-    sigma = s.sigma
-    for i in range(first, end):
-        scale = math.sqrt(sigma[i])
-        for c in range(3 * i, 3 * i + 3):
-            x[c] = scale * r[c]
+def into_cones(
+    s: BlockSystem, how: Sweeper, m: Memory, state: State, least: float, first: int, end: int
+) -> float:
+    """Take the combined impulses `m.x` of a range, put back into their cones from more than `least` outside.
 
-
-@jit
-def into_cones(s: BlockSystem, facets: int, x: Array, first: int, end: int, r: Array) -> None:
-    """Project the impulses of the scaled variable `x` on their cones, into `r` and, scaled, into `x`."""
-    sigma, mu = s.sigma, s.mu
+    Contacts whose impulse changes are awake. Returns the sum of the squares of `sigma_i r_i`.
+    """
+    sigma, mu, x, r, outside, moved, still = (
+        s.sigma,
+        s.mu,
+        m.x,
+        state.r,
+        state.outside,
+        state.moved,
+        state.still,
+    )
+    total = 0.0
     for i in range(first, end):
-        k, root = 3 * i, math.sqrt(sigma[i])
-        scale = 1.0 / root
-        p = project((scale * x[k], scale * x[k + 1], scale * x[k + 2]), mu[i], facets)
-        r[k], r[k + 1], r[k + 2] = p[0], p[1], p[2]
-        x[k], x[k + 1], x[k + 2] = root * p[0], root * p[1], root * p[2]
+        k, size = 3 * i, sigma[i]
+        q = (x[k], x[k + 1], x[k + 2])
+        tangent = size * size * (q[1] * q[1] + q[2] * q[2])
+        total += size * size * q[0] * q[0] + tangent
+        slack = size * mu[i] * q[0] + least
+        outside[i] = False
+        if how.facets != COULOMB or q[0] < 0.0 or tangent > slack * slack:
+            p = project(q, mu[i], how.facets)
+            d = (p[0] - q[0], p[1] - q[1], p[2] - q[2])
+            outside[i] = size * max(abs(d[0]), abs(d[1]), abs(d[2])) > least
+            if outside[i]:
+                moved[k], moved[k + 1], moved[k + 2] = d
+                x[k], x[k + 1], x[k + 2] = p
+        change = max(abs(r[k] - x[k]), abs(r[k + 1] - x[k + 1]), abs(r[k + 2] - x[k + 2]))
+        if size * change > how.negligible:
+            still[STRIDE * i] = math.inf
+        r[k], r[k + 1], r[k + 2] = x[k], x[k + 1], x[k + 2]
+    return total
 
 
 @jit
@@ -103,23 +143,30 @@ def residual_of(s: BlockSystem, state: State, facets: int, team: Team) -> float:
 
 @jit
 def accelerate(s: BlockSystem, how: Sweeper, m: Memory, state: State, residual: float, team: Team) -> None:
-    """One Anderson step: replace `r`, the image of `m.x`, by the extrapolated impulse."""
+    """One Anderson step: replace `r`, the image of `m.x`, by the extrapolated impulse, and `u` by its velocity."""
     n, ranges = len(s.mu), len(state.sums)
     row, count = begin(m, residual)
     for k in range(team.rank, ranges, team.size):
         first, end = of_range(n, ranges, k)
-        scale_impulse(s, state.r, first, end, m.image)
-        store(m, row, 3 * first, 3 * end)
+        store(m, row, state.r, 3 * first, 3 * end)
+        store_velocity(m, row, state.u, STRIDE * first, STRIDE * end)
         if count > 0:
             add_products(m, row, count, 3 * first, 3 * end, state.sums[k, 1:])
     wait(team)
     gamma = weights(m, row, count, state.sums[:, 1:].sum(axis=0), how.tikhonov) if count > 0 else np.zeros(0)
+    least = max(how.negligible, PUT_BACK * residual)
     for k in range(team.rank, ranges, team.size):
         first, end = of_range(n, ranges, k)
-        combine(m, gamma, 3 * first, 3 * end)
-        into_cones(s, how.facets, m.x, first, end, state.r)
+        combine(m.g, m.dG, gamma, 3 * first, 3 * end, m.x)
+        combine(m.v, m.dV, gamma, STRIDE * first, STRIDE * end, state.u)
+        state.sums[k, 0, 0] = into_cones(s, how, m, state, least, first, end)
     wait(team)
-    write_velocity(s, state.parts, state.r, team, state.u)
+    unit = EPSILON * root_mean_square(state.sums[:, 0, 0].sum(), n)
+    if grow(m, row, gamma) * unit > DRIFT * how.target:
+        write_velocity(s, state.parts, state.r, team, state.u)
+        m.rounding[len(m.dV)] = 1.0
+    else:
+        push(s, state.parts, state.moved, state.outside, team, state.u)
 
 
 def new_guard(proximal: float) -> Array:
@@ -215,9 +262,9 @@ def run_sweeps(
     return done, best, False
 
 
-_F, _I, _VECTOR, _INDEX, _MATRIX, _COUNTS, _TABLE = (
+_F, _I, _VECTOR, _INDEX, _MATRIX, _COUNTS, _MASK, _TABLE = (
     types.float64, types.int64, types.float64[::1], types.int32[::1], types.float64[:, ::1], types.int64[::1],
-    types.int64[:, ::1],
+    types.boolean[::1], types.int64[:, ::1],
 )  # fmt: skip
 _PARTS = types.NamedUniTuple(_INDEX, 7, Parts)
 _SIGNATURE = types.Tuple((_I, _F, types.boolean))(
@@ -226,9 +273,9 @@ _SIGNATURE = types.Tuple((_I, _F, types.boolean))(
     _VECTOR,
     types.NamedTuple((_INDEX, _INDEX, _VECTOR, _MATRIX, *3 * (_VECTOR,), _PARTS), BlockSystem),
     types.NamedTuple((_I, _F, _F, _I, _I, _F, types.boolean, _I), Sweeper),
-    types.NamedTuple((_PARTS, *4 * (_VECTOR,), types.float64[:, :, ::1], _COUNTS), State),
+    types.NamedTuple((_PARTS, *4 * (_VECTOR,), _MASK, _VECTOR, types.float64[:, :, ::1], _COUNTS), State),
     types.NamedTuple((_I, _I, _COUNTS, _INDEX), Team),
-    types.NamedTuple((_MATRIX, _MATRIX, *4 * (_VECTOR,), _MATRIX, _VECTOR), Memory),
+    types.NamedTuple((*3 * (_MATRIX,), *5 * (_VECTOR,), _MATRIX, _VECTOR, _VECTOR), Memory),
     _VECTOR, _COUNTS,
     types.NamedTuple((_TABLE, _VECTOR, _TABLE, _MATRIX, _MATRIX, _MATRIX, _COUNTS), VisitLog),
     _VECTOR, _F, _I, _I,

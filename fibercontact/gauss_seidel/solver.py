@@ -22,11 +22,11 @@ from fibercontact.gauss_seidel.loop import (
     new_state,
     residual_of,
     run_sweeps,
-    scale_impulse,
 )
 from fibercontact.gauss_seidel.parts import Parts, owners, undivided
 from fibercontact.gauss_seidel.sweep import COUNTERS, Sweeper
 from fibercontact.gauss_seidel.team import alone, gather
+from fibercontact.gauss_seidel.vectors import STRIDE
 from fibercontact.gauss_seidel.visit_log import VisitLog, check_log, no_log
 from fibercontact.lanes import LANES
 from fibercontact.local.contract import Status
@@ -224,9 +224,10 @@ class GaussSeidel:
 
     def _members(self, system: BlockSystem, state: State, threads: int) -> list[Member]:
         """What each thread of a run has for its own."""
-        memory = self.acceleration.memory(len(state.r)) if self.acceleration else no_memory()
+        memory = no_memory()
         if self.acceleration:
-            scale_impulse(system, state.r, 0, len(system.mu), memory.x)
+            scale = np.repeat(np.sqrt(system.sigma), 3)
+            memory = self.acceleration.memory(state.r, scale, STRIDE * len(system.mu))
         return [
             Member(team, memory.own(), new_guard(self.proximal), np.zeros(COUNTERS, dtype=np.int64))
             for team in gather(threads, owners(state.parts, system.starts, threads))
@@ -256,7 +257,7 @@ class GaussSeidel:
             state.still[:] = np.inf
             for member in members if self.acceleration else ():
                 forget(member.memory)
-                scale_impulse(system, state.r, 0, len(system.mu), member.memory.x)
+                member.memory.x[:] = state.r
         return run.iterations, best
 
     def _sweeper(self, b_ref: float) -> Sweeper:

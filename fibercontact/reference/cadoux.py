@@ -69,7 +69,7 @@ class Cadoux:
         best, k, began = CadouxRun(nothing, math.inf, 0, "not started"), 0, time.perf_counter()
         s = np.zeros(problem.n) if slip is None else slip
         for stage in self.stages:
-            memory, level, stale = Acceleration(window=stage.window).memory(problem.n), math.inf, 0
+            memory, level, stale = Acceleration(window=stage.window).memory(np.zeros(problem.n)), math.inf, 0
             while stale < PATIENCE:
                 left = self.max_seconds - (time.perf_counter() - began)
                 if k == self.max_iterations or left <= 0.0:
