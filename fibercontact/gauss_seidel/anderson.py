@@ -183,23 +183,25 @@ def add_products(m: Memory, row: int, count: int, first: int, end: int, sums: Ar
 
 @jit
 def weights(m: Memory, row: int, count: int, sums: Array, tikhonov: float) -> Array:
-    """The gamma (count,) of the newest map, zero where it cannot be found; `sums` (SUMS, window) over all ranges."""
+    """The gamma (count,) of the newest map; `sums` (SUMS, window) over all ranges."""
     m.normal[row, :count] = sums[0, :count]
     m.normal[:count, row] = sums[0, :count]
     gamma = np.zeros(count)
+    found: Array = gamma
     normal = m.normal[:count, :count].copy()
     largest = normal.max()
-    if not (largest > 0.0 and np.isfinite(largest)):
-        return gamma
-    for k in range(count):
-        normal[k, k] += tikhonov * largest
-    found = np.linalg.solve(normal, sums[1, :count].copy())
+    solvable = largest > 0.0 and np.isfinite(largest)
+    if solvable:
+        for k in range(count):
+            normal[k, k] += tikhonov * largest
+        found = np.linalg.solve(normal, sums[1, :count].copy())
+        solvable = np.isfinite(found.sum())
     along = sums[3, 0]  # f·(x_{m+1} - x_m)
     for k in range(count):
         along -= found[k] * sums[2, k]
-    if along >= 0.0 and np.isfinite(found.sum()):
-        gamma[:] = found
-    elif sums[2, row] > 0.0:
+    if solvable and along >= 0.0:
+        return found
+    if sums[2, row] > 0.0:
         gamma[row] = -LEAP
     return gamma
 

@@ -41,7 +41,7 @@ from fibercontact.local.contract import KERNEL_SIGNATURE, SEVERAL_SIGNATURE
 from fibercontact.local.several import one_by_one
 from fibercontact.problem.cone import COULOMB, project
 
-__all__ = ["MARK", "State", "compile_loop", "new_guard", "new_state", "run_sweeps"]
+__all__ = ["MARK", "State", "compile_loop", "new_guard", "new_state", "project_impulses", "run_sweeps"]
 
 MARK = 100
 """Sweeps between two looks at whether the run cycles."""
@@ -122,6 +122,15 @@ def into_cones(
             still[STRIDE * i] = math.inf
         r[k], r[k + 1], r[k + 2] = x[k], x[k + 1], x[k + 2]
     return total
+
+
+@jit
+def project_impulses(s: BlockSystem, facets: int, r: Array, first: int, end: int) -> None:
+    """Project the impulses of the contacts `first..end` on their cones."""
+    mu = s.mu
+    for i in range(first, end):
+        p = project((r[3 * i], r[3 * i + 1], r[3 * i + 2]), mu[i], facets)
+        r[3 * i], r[3 * i + 1], r[3 * i + 2] = p
 
 
 @jit
@@ -238,6 +247,9 @@ def run_sweeps(
             continue
         residual = residual_of(s, state, how.facets, team)
         if residual <= how.target:
+            if how.period > 0:  # a contact that is left out may be outside its cone by what is negligible
+                project_impulses(s, how.facets, state.r, *share(len(s.mu), team))
+                wait(team)
             write_velocity(s, state.parts, state.r, team, state.u)
             residual = residual_of(s, state, how.facets, team)
         if done < len(history):

@@ -20,6 +20,7 @@ from fibercontact.gauss_seidel.loop import (
     compile_loop,
     new_guard,
     new_state,
+    project_impulses,
     residual_of,
     run_sweeps,
 )
@@ -201,7 +202,7 @@ class GaussSeidel:
                 reached = best <= how.target
             elapsed = time.perf_counter() - began
         if not reached and math.isfinite(best):  # one that is reached has been confirmed
-            best = _afresh(system, state, how.facets)
+            best = _afresh(system, state, how)
         past = past[: done + 1] / (b_ref or 1.0) if history else past
         outcome = _outcome(reached, best, done >= self.max_sweeps)
         residual = relative(best, b_ref)
@@ -286,11 +287,13 @@ class GaussSeidel:
         return self._step * max(1, int(done * SLICE_SECONDS / max(elapsed, 1e-9)) // self._step)
 
 
-def _afresh(system: BlockSystem, state: State, facets: int) -> float:
-    """The residual of the best impulses, without the rounding that a run gathers in its velocities."""
+def _afresh(system: BlockSystem, state: State, how: Sweeper) -> float:
+    """The residual of the best impulses, put into their cones, without the rounding of a run's velocities."""
     team = alone(len(state.parts.parts) - 1)
+    if how.period > 0:
+        project_impulses(system, how.facets, state.best_r, 0, len(system.mu))
     write_velocity(system, state.parts, state.best_r, team, state.u)
-    return residual_of(system, state._replace(r=state.best_r), facets, team)
+    return residual_of(system, state._replace(r=state.best_r), how.facets, team)
 
 
 def _threads(parts: Parts) -> int:
