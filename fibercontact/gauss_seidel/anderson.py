@@ -187,22 +187,21 @@ def weights(m: Memory, row: int, count: int, sums: Array, tikhonov: float) -> Ar
     m.normal[row, :count] = sums[0, :count]
     m.normal[:count, row] = sums[0, :count]
     gamma = np.zeros(count)
-    found: Array = gamma
     normal = m.normal[:count, :count].copy()
     largest = normal.max()
     solvable = largest > 0.0 and np.isfinite(largest)
     if solvable:
         for k in range(count):
             normal[k, k] += tikhonov * largest
-        found = np.linalg.solve(normal, sums[1, :count].copy())
-        solvable = np.isfinite(found.sum())
+        gamma[:] = np.linalg.solve(normal, sums[1, :count].copy())
+        solvable = np.isfinite(gamma.sum())
     along = sums[3, 0]  # f·(x_{m+1} - x_m)
     for k in range(count):
-        along -= found[k] * sums[2, k]
-    if solvable and along >= 0.0:
-        return found
-    if sums[2, row] > 0.0:
-        gamma[row] = -LEAP
+        along -= gamma[k] * sums[2, k]
+    if not (solvable and along >= 0.0):
+        gamma[:] = 0.0
+        if sums[2, row] > 0.0:
+            gamma[row] = -LEAP
     return gamma
 
 
