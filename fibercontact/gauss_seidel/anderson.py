@@ -7,8 +7,7 @@ the residual more than doubles.
 Where impulses drift, map after map by the same `f` for thousands of maps, the least squares fit its small changes
 only and lead to and fro at random. So a step that opposes the map, `f·(x_{m+1} - x_m) < 0`, is not taken: the last
 displacement `g_m - g_{m-1}` is repeated `LEAP` times instead, if it goes with the map, so that steps grow
-geometrically until something changes. Without this rule 44 of 329 problems solved with it to 1e-8 are not
-(docs/outer_loops.md).
+geometrically until something changes (docs/outer_loops.md).
 
 The velocity is affine in the impulse, so that of the next iterate is combined from the images' like the iterate,
 which is cheaper than a product with W but adds up rounding; `grow` bounds it.
