@@ -170,7 +170,7 @@ def test_the_answer_is_the_same_for_any_number_of_threads(monkeypatch, threads, 
 
 def test_a_run_goes_on_with_the_threads_that_are_faster():
     """And looks again, since that may change."""
-    own = (Acceleration(window=2).memory(6), np.zeros(4), np.zeros(COUNTERS, dtype=np.int64))
+    own = (Acceleration(window=2).memory(np.zeros(6)), np.zeros(4), np.zeros(COUNTERS, dtype=np.int64))
     two = Crew([Member(team, *own) for team in gather(2, np.zeros(1, np.int32))])
     slow = {2}
 

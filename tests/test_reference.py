@@ -73,7 +73,7 @@ def test_the_plain_loop_cycles_on_ill_conditioned_contacts_and_the_others_do_not
 
 @pytest.mark.parametrize(
     ("condition", "seed", "stage"),
-    [(1e2, 42, "plain"), (1e2, 63, "plain"), (1e3, 54, "damped"), (1e3, 116, "damped"), (1e4, 104, "damped")],
+    [(1e3, 54, "damped"), (1e3, 116, "damped"), (1e4, 104, "damped"), (1e4, 116, "damped")],
 )
 def test_a_stage_takes_over_where_the_last_stalls(condition, seed, stage):
     problem = one_contact(condition, seed)
