@@ -158,7 +158,7 @@ def test_the_answer_is_the_same_for_any_number_of_threads(monkeypatch, threads, 
 
     def run(count):
         monkeypatch.setenv("FIBERCONTACT_THREADS", str(count))
-        solver = GaussSeidel(local, 1e-10, 300, rescue_after=0)
+        solver = GaussSeidel(local, 1e-8, 300, 600.0, rescue_after=0)
         return solver.solve_system(system, problem.b_ref, history=True)
 
     alone, together = run(1), run(threads)
