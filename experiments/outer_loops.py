@@ -130,7 +130,7 @@ def draw(rows: pd.DataFrame) -> Figure:
     axes.set_ylabel("problems solved (%)")
     axes.set_ylim(0, 101)
     axes.grid(which="major", color="0.9")
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=8, loc="lower right")
     return figure
 
 

@@ -136,7 +136,7 @@ def store_velocity(m: Memory, row: int, u: Array, first: int, end: int) -> None:
 def grow(m: Memory, row: int, gamma: Array) -> float:
     """Bound the rounding of the velocity that is combined with gamma, in units of a product's.
 
-    Each sweep adds one unit; the rounding of a difference is at most that of both its terms.
+    Each map adds one unit; the rounding of a difference is at most that of both its terms.
     """
     last = len(m.dV)
     before, now = m.rounding[last], m.rounding[last] + 1.0

@@ -136,7 +136,7 @@ class GaussSeidel:
     """Block Gauss–Seidel over the local solver `local`.
 
     `proximal` is the c of the term `c sigma_i I` renewed at each visit (0: none); `acceleration`, when given,
-    extrapolates every few sweeps. `negligible` is the change of `sigma_i r_i`, as a share of the tolerance,
+    extrapolates after each of its maps. `negligible` is the change of `sigma_i r_i`, as a share of the tolerance,
     below which a contact is left as it is. `check_every` sweeps pass between two evaluations of the residual.
     Under Coulomb's law a run that has not ended after `rescue_after` sweeps (0: never) goes on from the impulses of
     the interior-point method, if they are better. `LOOPS` has the settings of the loops that have a name.
