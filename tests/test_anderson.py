@@ -6,7 +6,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fibercontact.gauss_seidel.anderson import LEAP, Acceleration, extrapolate, grow
+from fibercontact.gauss_seidel.anderson import (
+    LEAP,
+    Acceleration,
+    ago,
+    combine,
+    extrapolate,
+    go_on,
+    grow,
+    newest,
+)
 
 TIKHONOV = Acceleration.tikhonov
 
@@ -57,28 +66,54 @@ def test_least_squares_that_oppose_the_map_are_not_followed():
 
 
 def test_the_scale_decides_what_the_least_squares_weigh():
-    """Two unknowns of which one map of memory can only serve one: the heavy one."""
+    """Three unknowns of which two differences can only serve two: the heavy ones."""
+    slopes = np.array([0.5, -0.3, 0.1])
 
     def contraction(x):
-        return np.array([0.5, -0.3]) * x + 1.0
+        return slopes * x + 1.0
 
-    for heavy in (0, 1):
-        scale = np.where(np.arange(2) == heavy, 1e3, 1.0)
-        *_, last = iterates(contraction, np.zeros(2), 4, scale=scale, window=1)
-        assert abs(last - 1.0 / (1.0 - np.array([0.5, -0.3])))[heavy] < 1e-2
+    for light in range(3):
+        scale = np.where(np.arange(3) == light, 1.0, 1e3)
+        *_, last = iterates(contraction, np.zeros(3), 5, scale=scale, window=2)
+        error = abs(last - 1.0 / (1.0 - slopes))
+        assert np.delete(error, light).max() < 1e-2 * np.delete(1.0 / (1.0 - slopes), light).max()
+
+
+def test_a_window_of_one_is_refused():
+    with pytest.raises(ValueError, match="two at least"):
+        Acceleration(window=1)
+
+
+@given(seed=st.integers(0, 10**6), window=st.integers(2, 10))
+def test_rows_are_combined_by_their_weights(seed, window):
+    """In place of the oldest, whatever the number of rows; against the sum, row by row."""
+    rng = np.random.default_rng(seed)
+    memory = Acceleration(window=window).memory(np.zeros(5))
+    for _ in range(rng.integers(0, 2 * window)):
+        go_on(memory)
+    memory.G[:] = rng.standard_normal(memory.G.shape)
+    alpha = rng.standard_normal(window + 1)
+    alpha[newest(memory)] += 1.0 - alpha.sum()
+    before, place = memory.G.copy(), ago(memory, -1)
+    combine(memory, memory.G, alpha, 1, 4)
+    np.testing.assert_allclose(memory.G[place, 1:4], (alpha @ before)[1:4], rtol=0, atol=1e-13 * window)
+    before[place, 1:4] = memory.G[place, 1:4]
+    np.testing.assert_array_equal(memory.G, before)
 
 
 @given(seed=st.integers(0, 10**6))
 def test_the_rounding_of_combined_velocities_stays_within_its_bound(seed):
-    """Errors of one unit at most enter with each map, wherever they do most harm."""
+    """Errors of one unit at most enter with a product and with each map, wherever they do most harm."""
     rng = np.random.default_rng(seed)
     memory = Acceleration(window=3).memory(np.zeros(1), velocities=1)
-    error, image, rows = rng.uniform(-1, 1), 0.0, np.zeros(3)
-    for k in range(12):
-        error += rng.uniform(-1, 1)
-        row, count = ((k - 1) % 3, min(k, 3)) if k > 0 else (-1, 0)
-        if row >= 0:
-            rows[row] = error - image
-        image, gamma = error, rng.standard_normal(count)
-        error = image - gamma @ rows[:count]
-        assert abs(error) <= grow(memory, row, gamma)
+    errors = np.zeros(4)
+    errors[0] = rng.uniform(-1, 1)
+    for _ in range(12):
+        row = newest(memory)
+        errors[row] += rng.uniform(-1, 1)
+        alpha = rng.standard_normal(4) * (np.abs(errors) > 0)
+        alpha[row] += 1.0 - alpha.sum()
+        combined = alpha @ errors
+        assert abs(combined) <= grow(memory, alpha)
+        go_on(memory)
+        errors[newest(memory)] = combined

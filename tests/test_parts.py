@@ -12,12 +12,13 @@ from scipy.sparse import random_array
 from fibercontact.gauss_seidel import crew
 from fibercontact.gauss_seidel import parts as module
 from fibercontact.gauss_seidel.anderson import Acceleration
-from fibercontact.gauss_seidel.blocks import block_system, residual_from, velocity
+from fibercontact.gauss_seidel.blocks import block_system, new_velocity, push, residual_from, velocity
 from fibercontact.gauss_seidel.crew import Crew, Member
 from fibercontact.gauss_seidel.parts import divide, undivided
 from fibercontact.gauss_seidel.solver import GaussSeidel
 from fibercontact.gauss_seidel.sweep import COUNTERS
-from fibercontact.gauss_seidel.team import gather
+from fibercontact.gauss_seidel.team import alone, gather
+from fibercontact.gauss_seidel.vectors import STRIDE
 from fibercontact.local.registry import configure, registered
 from fibercontact.problem.incremental import IncrementalProblem
 from fibercontact.problem.measure import measure
@@ -120,6 +121,22 @@ def test_velocity_and_residual_do_not_depend_on_the_division(seed):
     np.testing.assert_allclose(u, problem.W @ r + problem.b, rtol=0, atol=1e-12 * np.abs(u).max())
     found = residual_from(system, r, u, 0) / problem.b_ref
     assert found == pytest.approx(measure(problem, r).residual, rel=1e-10)
+
+
+@given(seed=st.integers(0, 1000), share=st.sampled_from([0.0, 0.02, 0.3, 1.0]))
+def test_the_impulses_of_some_visits_are_pushed(seed, share):
+    """Which they are is read eight visits at a time."""
+    rng, problem = np.random.default_rng(seed), oracles.strands(seed % 7, rods=8, contacts=30).condense()
+    system, r = block_system(problem), rng.standard_normal(3 * problem.n)
+    parts, some = system.parts, np.zeros(problem.n + -problem.n % 8, np.uint8)
+    some[: problem.n] = rng.random(problem.n) < share
+    u = new_velocity(parts)
+    push(system, parts, r, some, alone(len(parts.parts) - 1), u)
+    chosen = np.zeros((problem.n, 1))
+    chosen[parts.order, 0] = some[: problem.n]
+    expected = problem.W @ (chosen * r.reshape(-1, 3)).ravel()
+    found = u.reshape(-1, STRIDE)[: problem.n, :3].ravel()
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(problem.W @ r).max())
 
 
 def test_sweeps_of_a_divided_problem_are_the_oracles_in_its_order():

@@ -10,8 +10,8 @@ from scipy.sparse import bsr_array, csr_array
 from fibercontact.gauss_seidel.parts import Parts, divide
 from fibercontact.gauss_seidel.team import Team, alone, share, wait
 from fibercontact.gauss_seidel.vectors import PAD, STRIDE, add_block
-from fibercontact.jit import jit
-from fibercontact.problem.cone import natural_map
+from fibercontact.jit import jit, jit_sum
+from fibercontact.problem.cone import COULOMB, natural_map
 from fibercontact.problem.incremental import IncrementalProblem
 
 __all__ = [
@@ -90,15 +90,17 @@ def push_impulses(
     first: int,
     end: int,
     r: Array,
-    some: NDArray[np.bool_],
+    some: NDArray[np.uint8],
     u: Array,
 ) -> None:
     """`u += W_:i r_i` for the visits `first..end`; `W` is symmetric, so block row i serves as block column i."""
-    starts, blocks = s.starts, s.blocks
-    for visit in range(first, end):
-        i = order[visit]
-        if len(some) > 0 and not some[i]:
+    starts, blocks, eight, visit = s.starts, s.blocks, some.view(np.uint64), first
+    while visit < end:
+        if len(some) > 0 and some[visit] == 0:
+            visit += 8 if visit % 8 == 0 and eight[visit // 8] == 0 else 1
             continue
+        i = order[visit]
+        visit += 1
         r0, r1, r2 = r[3 * i], r[3 * i + 1], r[3 * i + 2]
         if r0 != 0.0 or r1 != 0.0 or r2 != 0.0:
             for j in range(starts[i], starts[i + 1]):
@@ -113,14 +115,14 @@ def write_velocity(s: BlockSystem, parts: Parts, r: Array, team: Team, u: Array)
     for i in range(first, end):
         u[STRIDE * i], u[STRIDE * i + 1], u[STRIDE * i + 2] = b[3 * i], b[3 * i + 1], b[3 * i + 2]
     wait(team)
-    push(s, parts, r, np.zeros(0, np.bool_), team, u)
+    push(s, parts, r, np.zeros(0, np.uint8), team, u)
 
 
 @jit
-def push(s: BlockSystem, parts: Parts, r: Array, some: NDArray[np.bool_], team: Team, u: Array) -> None:
-    """Add `W r` to `u`, which the whole team needs, with the impulses of `some` contacts (n,), or all (0,).
+def push(s: BlockSystem, parts: Parts, r: Array, some: NDArray[np.uint8], team: Team, u: Array) -> None:
+    """Add `W r` to `u`, which the whole team needs, with the impulses of `some` visits, or of all (0,).
 
-    Contacts without impulse cost nothing.
+    `some` is 1 at these, 0 elsewhere, and as long as a multiple of eight. Contacts without impulse cost nothing.
     """
     for phase in range(len(parts.phases) - 1):
         for part in range(parts.phases[phase], parts.phases[phase + 1]):
@@ -131,16 +133,24 @@ def push(s: BlockSystem, parts: Parts, r: Array, some: NDArray[np.bool_], team: 
         flush(parts, phase, team, u)
 
 
+@jit_sum
+def _squares(
+    mu: Array, sigma: Array, r: Array, u: Array, stride: int, facets: int, first: int, end: int
+) -> float:
+    total = 0.0
+    for i in range(first, end):
+        k, at = 3 * i, stride * i
+        e = natural_map((u[at], u[at + 1], u[at + 2]), (r[k], r[k + 1], r[k + 2]), mu[i], sigma[i], facets)
+        total += e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
+    return total
+
+
 @jit
 def squares(s: BlockSystem, r: Array, u: Array, stride: int, facets: int, first: int, end: int) -> float:
     """Sum of the squares of the natural map over the contacts `first..end`."""
-    total, friction, sizes = 0.0, s.mu, s.sigma
-    for i in range(first, end):
-        at = stride * i
-        e = natural_map((u[at], u[at + 1], u[at + 2]), (r[3 * i], r[3 * i + 1], r[3 * i + 2]),
-                        friction[i], sizes[i], facets)  # fmt: skip
-        total += e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
-    return total
+    if facets == COULOMB and stride == STRIDE:  # with these known, several contacts at a time
+        return _squares(s.mu, s.sigma, r, u, STRIDE, COULOMB, first, end)
+    return _squares(s.mu, s.sigma, r, u, stride, facets, first, end)
 
 
 @jit

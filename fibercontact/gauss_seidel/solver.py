@@ -2,7 +2,6 @@
 
 import math
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 from numba.core import config
 from numpy.typing import NDArray
 
-from fibercontact.gauss_seidel.anderson import Acceleration, forget, no_memory
+from fibercontact.gauss_seidel.anderson import Acceleration, Memory
 from fibercontact.gauss_seidel.blocks import BlockSystem, block_system, write_velocity
 from fibercontact.gauss_seidel.crew import Crew, Member
 from fibercontact.gauss_seidel.interior_point import interior_point
@@ -27,7 +26,6 @@ from fibercontact.gauss_seidel.loop import (
 from fibercontact.gauss_seidel.parts import Parts, owners, undivided
 from fibercontact.gauss_seidel.sweep import COUNTERS, Sweeper
 from fibercontact.gauss_seidel.team import alone, gather
-from fibercontact.gauss_seidel.vectors import STRIDE
 from fibercontact.gauss_seidel.visit_log import VisitLog, check_log, no_log
 from fibercontact.lanes import LANES
 from fibercontact.local.contract import Status
@@ -56,6 +54,8 @@ LARGEST_RESCUE = 600_000
 
 SLICE_SECONDS = 0.05
 """The clock is looked at about this often: between slices of sweeps."""
+VISIT_SECONDS = 2e-6
+"""A visit is taken to last, until the clock has been looked at: longer than most do."""
 
 
 class Outcome(IntEnum):
@@ -180,17 +180,19 @@ class GaussSeidel:
         began = time.perf_counter()
         how, parts = self._sweeper(b_ref), self._parts(system)
         threads = 1 if log is not None else _threads(parts)
-        state = new_state(system, parts, _start(start, len(system.b)), self._window, threads)
-        best = residual_of(system, state, how.facets, alone(len(parts.parts) - 1))
+        acceleration = self.acceleration or Acceleration(window=0)
+        state, memory = new_state(system, parts, _start(start, len(system.b)), acceleration, threads)
+        team = alone(len(parts.parts) - 1)
+        best = residual_of(system, memory.G[0], memory.V[0], state.sums, how.facets, team)
         past = np.full(self.max_sweeps + 1 if history else 0, np.nan)
         past[:1] = best
-        crew = Crew(self._members(system, state, threads))
+        crew = Crew(self._members(system, state, memory, threads))
         kernels = (kernel, several or one_by_one, options)
         rest = (log or no_log(), past)
         rescue_at = self._rescue_at(system)
         done, reached, elapsed, rescue = 0, best <= how.target, 0.0, 0
         while not reached and math.isfinite(best) and done < self.max_sweeps and elapsed < self.max_seconds:
-            count = crew.plan(elapsed, self._slice(done, elapsed), self._step)
+            count = crew.plan(elapsed, self._slice(done, elapsed, len(system.mu)), self._step)
             end = min(self.max_sweeps, rescue_at if done < rescue_at else self.max_sweeps, done + count)
 
             def sweeps(member: Member, best: float = best, done: int = done, end: int = end) -> Any:
@@ -198,11 +200,11 @@ class GaussSeidel:
 
             done, best, reached = crew.sweep(sweeps, end - done, state.failed)
             if done == rescue_at and not reached and math.isfinite(best):
-                rescue, best = self._rescue(system, b_ref, state, crew.members, best, began)
+                rescue, best = self._rescue(system, b_ref, state, crew.members[0].memory, best, began)
                 reached = best <= how.target
             elapsed = time.perf_counter() - began
         if not reached and math.isfinite(best):  # one that is reached has been confirmed
-            best = _afresh(system, state, how)
+            best = _afresh(system, state, memory, how)
         past = past[: done + 1] / (b_ref or 1.0) if history else past
         outcome = _outcome(reached, best, done >= self.max_sweeps)
         residual = relative(best, b_ref)
@@ -219,16 +221,8 @@ class GaussSeidel:
         can = self.local.registered.solver.several is not None and not config.DISABLE_JIT
         return LANES if can and self.acceleration else 1
 
-    @property
-    def _window(self) -> int:
-        return self.acceleration.window if self.acceleration else 0
-
-    def _members(self, system: BlockSystem, state: State, threads: int) -> list[Member]:
+    def _members(self, system: BlockSystem, state: State, memory: Memory, threads: int) -> list[Member]:
         """What each thread of a run has for its own."""
-        memory = no_memory()
-        if self.acceleration:
-            scale = np.repeat(np.sqrt(system.sigma), 3)
-            memory = self.acceleration.memory(state.r, scale, STRIDE * len(system.mu))
         return [
             Member(team, memory.own(), new_guard(self.proximal), np.zeros(COUNTERS, dtype=np.int64))
             for team in gather(threads, owners(state.parts, system.starts, threads))
@@ -244,7 +238,7 @@ class GaussSeidel:
         system: BlockSystem,
         b_ref: float,
         state: State,
-        members: Sequence[Member],
+        memory: Memory,
         best: float,
         began: float,
     ) -> tuple[int, float]:
@@ -253,12 +247,9 @@ class GaussSeidel:
         run = interior_point(system, b_ref or 1.0, target, deadline=began + self.max_seconds)
         if run.residual < best:
             best = run.residual
-            state.best_r[:] = state.r[:] = run.r
-            write_velocity(system, state.parts, state.r, alone(len(state.parts.parts) - 1), state.u)
-            state.still[:] = np.inf
-            for member in members if self.acceleration else ():
-                forget(member.memory)
-                member.memory.x[:] = state.r
+            state.best_r[:], state.still[:] = run.r, np.inf
+            team, u = alone(len(state.parts.parts) - 1), memory.restart(run.r)
+            write_velocity(system, state.parts, run.r, team, u)
         return run.iterations, best
 
     def _sweeper(self, b_ref: float) -> Sweeper:
@@ -282,18 +273,19 @@ class GaussSeidel:
         """The fewest sweeps between two looks at the clock: a whole number of checks and of maps."""
         return self.check_every * (self.acceleration.sweeps if self.acceleration else 1)
 
-    def _slice(self, done: int, elapsed: float) -> int:
+    def _slice(self, done: int, elapsed: float, n: int) -> int:
         """Sweeps until the next look at the clock."""
-        return self._step * max(1, int(done * SLICE_SECONDS / max(elapsed, 1e-9)) // self._step)
+        a_sweep = elapsed / done if done > 0 else n * VISIT_SECONDS
+        return self._step * max(1, int(SLICE_SECONDS / max(a_sweep, 1e-9)) // self._step)
 
 
-def _afresh(system: BlockSystem, state: State, how: Sweeper) -> float:
+def _afresh(system: BlockSystem, state: State, memory: Memory, how: Sweeper) -> float:
     """The residual of the best impulses, put into their cones, without the rounding of a run's velocities."""
     team = alone(len(state.parts.parts) - 1)
     if how.period > 0:
         project_impulses(system, how.facets, state.best_r, 0, len(system.mu))
-    write_velocity(system, state.parts, state.best_r, team, state.u)
-    return residual_of(system, state._replace(r=state.best_r), how.facets, team)
+    write_velocity(system, state.parts, state.best_r, team, memory.V[0])
+    return residual_of(system, state.best_r, memory.V[0], state.sums, how.facets, team)
 
 
 def _threads(parts: Parts) -> int:

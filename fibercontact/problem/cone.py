@@ -41,12 +41,12 @@ def project_cone(x: Vector, mu: float) -> Vector:
     (0.5, 0.5, 0.0)
     """
     tangential = math.sqrt(x[1] * x[1] + x[2] * x[2])
-    if mu * tangential <= -x[0]:
-        return (0.0, 0.0, 0.0)
-    if tangential <= mu * x[0]:
-        return x
     normal = (x[0] + mu * tangential) / (1.0 + mu * mu)
-    scale = mu * normal / tangential
+    scale = mu * normal / (tangential if tangential > 0.0 else 1.0)
+    # chosen, not branched to: loops over contacts become vector loops
+    inside, apex = tangential <= mu * x[0], mu * tangential <= -x[0]
+    normal, scale = (x[0] if inside else normal), (1.0 if inside else scale)
+    normal, scale = (0.0 if apex else normal), (0.0 if apex else scale)
     return (normal, scale * x[1], scale * x[2])
 
 
@@ -108,9 +108,9 @@ def natural_map(u: Vector, r: Vector, mu: float, sigma: float, facets: int) -> V
     x = (sigma * r[0], sigma * r[1], sigma * r[2])
     z = (x[0] - y[0], x[1] - y[1], x[2] - y[2])
     p = project(z, mu, facets)
-    if p[0] == 0.0:  # the apex
-        return x
-    return (y[0] + (z[0] - p[0]), y[1] + (z[1] - p[1]), y[2] + (z[2] - p[2]))
+    apex = p[0] == 0.0
+    e = (y[0] + (z[0] - p[0]), y[1] + (z[1] - p[1]), y[2] + (z[2] - p[2]))
+    return (x[0] if apex else e[0], x[1] if apex else e[1], x[2] if apex else e[2])
 
 
 @jit
