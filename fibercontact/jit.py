@@ -24,7 +24,7 @@ from numba.core.caching import FunctionCache
 
 from fibercontact.errors import NO_CACHE
 
-__all__ = ["KERNEL_ROOMS", "cache_folder", "content_key", "jit", "jit_inline", "jit_sum"]
+__all__ = ["KERNEL_ROOMS", "cache_folder", "content_key", "jit", "jit_inline", "jit_lean", "jit_sum"]
 
 KERNEL_ROOMS = ("rods", "contact", "problem", "local", "gauss_seidel", "global_methods")
 """Rooms with kernels. A module imports only from rooms before its own, so no kernel depends on the others."""
@@ -109,6 +109,15 @@ def jit(function: Callable[..., Any]) -> Any:
     of raising, and no fast-math is used: NaN must be seen. Kernels run without the interpreter's lock.
     """
     return _compiled(function)
+
+
+def jit_lean(function: Callable[..., Any]) -> Any:
+    """Compile a function that makes no array: it does not count the references to those that it is given or cuts.
+
+    Each count is an atomic operation, which takes longer than a cross product, and much longer where two threads
+    count the same. What such a function calls must be lean too, or cut no arrays.
+    """
+    return _compiled(function, _nrt=False)
 
 
 def jit_inline(function: Callable[..., Any]) -> Any:

@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 from fibercontact.contact.detect import Contacts
 from fibercontact.contact.frame import contact_frames
 from fibercontact.contact.obstacles import Obstacle
-from fibercontact.jit import jit
+from fibercontact.jit import jit, jit_lean
 
 __all__ = ["ContactSystem", "assemble", "obstacle_drift"]
 
@@ -93,6 +93,22 @@ def _csr_blocks(
     indptr = np.zeros(3 * n + 1, np.int64)
     indptr[1:] = np.cumsum(np.repeat(width, 3))
     data, indices = np.empty(indptr[-1]), np.empty(indptr[-1], np.int64)
+    _fill_csr(frames, fibre_a, fibre_b, jacobian_a, jacobian_b, indptr, data, indices)
+    return data, indices, indptr
+
+
+@jit_lean
+def _fill_csr(
+    frames: Floats,
+    fibre_a: Ints,
+    fibre_b: Ints,
+    jacobian_a: Floats,
+    jacobian_b: Floats,
+    indptr: Ints,
+    data: Floats,
+    indices: Ints,
+) -> None:
+    n, _, D = jacobian_a.shape
     for i in range(n):
         for row in range(3):
             at = indptr[3 * i + row]
@@ -102,10 +118,9 @@ def _csr_blocks(
                 if fibre_b[i] >= 0:
                     data[at + D + column] = -_component(frames[i, row], jacobian_b[i], column)
                     indices[at + D + column] = fibre_b[i] * D + column
-    return data, indices, indptr
 
 
-@jit
+@jit_lean
 def _component(direction: Floats, jacobian: Floats, column: int) -> float:
     return (
         direction[0] * jacobian[0, column]

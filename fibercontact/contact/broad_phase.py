@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from fibercontact.jit import jit
+from fibercontact.jit import jit, jit_lean
 from fibercontact.threads import over_ranges
 
 __all__ = ["near_segments"]
@@ -75,10 +75,10 @@ def _entries(boxes: Ints, first: Ints, covered: int, buckets: int) -> tuple[Ints
     latest = np.full(buckets, -1)
     count = 0
     for i in range(len(first) - 1):
-        for box in boxes[first[i] : first[i + 1]]:
-            for x in range(box[0, 0], box[1, 0] + 1):
-                for y in range(box[0, 1], box[1, 1] + 1):
-                    for z in range(box[0, 2], box[1, 2] + 1):
+        for p in range(first[i], first[i + 1]):
+            for x in range(boxes[p, 0, 0], boxes[p, 1, 0] + 1):
+                for y in range(boxes[p, 0, 1], boxes[p, 1, 1] + 1):
+                    for z in range(boxes[p, 0, 2], boxes[p, 1, 2] + 1):
                         bucket = _bucket(x, y, z, buckets)
                         if latest[bucket] != i:
                             latest[bucket] = i
@@ -97,13 +97,14 @@ def _transposed(offset: Ints, entry: Ints, buckets: int) -> tuple[Ints, Ints]:
     bucket_offset = np.cumsum(bucket_offset)
     segment = np.empty(len(entry), np.int64)
     for i in range(len(offset) - 2, -1, -1):
-        for bucket in entry[offset[i] : offset[i + 1]]:
+        for at in range(offset[i], offset[i + 1]):
+            bucket = entry[at]
             bucket_offset[bucket] -= 1
             segment[bucket_offset[bucket]] = i
     return bucket_offset, segment
 
 
-@jit
+@jit_lean
 def _apart(start: Floats, end: Floats, i: int, j: int, distance: float) -> bool:
     """Whether a cylinder round the line of segment i that bounds segment j proves them farther apart."""
     ux, uy, uz = end[i, 0] - start[i, 0], end[i, 1] - start[i, 1], end[i, 2] - start[i, 2]
@@ -141,7 +142,8 @@ def _pairs(
     count = 0
     seen = np.full(len(start), -1)
     for i in range(begin, stop):
-        for bucket in entry[offset[i] : offset[i + 1]]:
+        for at in range(offset[i], offset[i + 1]):
+            bucket = entry[at]
             # In a bucket segments increase: from the back come the later fibres, and the rest is not needed.
             for place in range(bucket_offset[bucket + 1] - 1, bucket_offset[bucket] - 1, -1):
                 j = segment[place]

@@ -17,7 +17,7 @@ from fibercontact.contact.broad_phase import near_segments
 from fibercontact.contact.frame import contact_frames
 from fibercontact.contact.obstacles import Obstacle
 from fibercontact.contact.segments import closest_on_segments
-from fibercontact.jit import jit
+from fibercontact.jit import jit, jit_lean
 from fibercontact.threads import over_ranges
 
 __all__ = ["Contacts", "detect"]
@@ -176,11 +176,11 @@ def _obstacle_candidates(fibres: _Fibres, body: Obstacle) -> _Candidates:
     return _Candidates(a, x, np.full_like(a, -1), np.zeros_like(x), distance)
 
 
-@jit
+@jit_lean
 def _closest(start: Floats, end: Floats, pairs: Ints, closest: Floats, begin: int, stop: int) -> None:
     """Fill in the closest points of the pairs of segments begin..stop: s, t and distance, (3, k)."""
     for row in range(begin, stop):
-        i, j = pairs[row]
+        i, j = pairs[row, 0], pairs[row, 1]
         closest[0, row], closest[1, row], closest[2, row] = closest_on_segments(
             start[i], end[i], start[j], end[j]
         )
@@ -233,7 +233,8 @@ def _keep(pair: Ints, y_a: Floats, y_b: Floats) -> NDArray[np.bool_]:
     opened = 0
     for i in range(len(pair)):
         if pair[i] != pair[opened]:
-            latest[bins[opened:i]] = -1
+            for of_pair in range(opened, i):
+                latest[bins[of_pair]] = -1
             opened = i
         keep[i] = True
         for neighbour in range(bins[i] - 1, bins[i] + 2):

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from fibercontact.contact.frame import contact_frames
 from fibercontact.contact.segments import closest_on_segments
-from fibercontact.jit import jit
+from fibercontact.jit import jit_lean
 
 __all__ = ["Cylinder", "Obstacle", "Plane", "Sphere"]
 
@@ -169,9 +169,13 @@ def _distance_from(points: Floats, core: Floats, fallback: Floats) -> tuple[Floa
     return distance, normal / np.where(distance > 0.0, distance, 1.0)[:, None]
 
 
-@jit
 def _closest_parameters(a0: Floats, a1: Floats, b0: Floats, b1: Floats) -> Floats:
     parameters = np.empty(len(a0))
+    _fill_parameters(a0, a1, b0, b1, parameters)
+    return parameters
+
+
+@jit_lean
+def _fill_parameters(a0: Floats, a1: Floats, b0: Floats, b1: Floats, parameters: Floats) -> None:
     for i in range(len(a0)):
         parameters[i] = closest_on_segments(a0[i], a1[i], b0[i], b1[i])[0]
-    return parameters

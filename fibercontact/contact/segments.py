@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from fibercontact.jit import jit
+from fibercontact.jit import jit, jit_lean
 
 __all__ = ["closest_on_segments"]
 
@@ -23,7 +23,7 @@ def _ratio(x: float, y: float) -> float:
     return _clamp(x / y) if y > 0.0 else 0.0
 
 
-@jit
+@jit_lean
 def closest_on_segments(a0: Vector, a1: Vector, b0: Vector, b1: Vector) -> tuple[float, float, float]:
     """Closest points of the segments a0–a1 and b0–b1, each vertex (3,) in m.
 

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fibercontact.jit import jit, jit_sum
+from fibercontact.jit import jit, jit_lean, jit_sum
 
 __all__ = [
     "SUMS", "Acceleration", "Memory", "add_products", "add_steps", "ago", "another", "begin", "combine",
@@ -133,7 +133,7 @@ def go_on(m: Memory) -> None:
     m.state[NEWEST] = ago(m, -1)
 
 
-@jit
+@jit_lean
 def store(m: Memory, first: int, end: int) -> None:
     """Store what the newest map has changed."""
     f, g, x, scale = m.F[newest(m), first:end], m.G[newest(m), first:end], m.x[first:end], m.scale[first:end]
@@ -165,7 +165,7 @@ def products(newer: Array, older: Array, new: Array, old: Array) -> tuple[float,
     return with_newest, with_f
 
 
-@jit
+@jit_lean
 def add_products(m: Memory, count: int, first: int, end: int, sums: Array) -> None:
     """Write `ΔF_w·ΔF_0` and `ΔF_w·f` of this range into `sums`, the newest of `count` differences first."""
     new, old = m.F[newest(m), first:end], m.F[ago(m, 1), first:end]
@@ -183,7 +183,7 @@ def _steps(f: Array, scale: Array, after: Array, x: Array, g: Array, before: Arr
     return step, displacement
 
 
-@jit
+@jit_lean
 def add_steps(m: Memory, first: int, end: int, sums: Array) -> None:
     """Write `f·(x_{m+1} - x_m)` and `f·(g_m - g_{m-1})` of this range, in scale, into `sums`."""
     row = newest(m)
@@ -239,7 +239,7 @@ def another(m: Memory, sums: Array) -> Array:
     return leap(m, 1.0 if sums[2, 1] > 0.0 else 0.0)
 
 
-@jit
+@jit_lean
 def combine(m: Memory, rows: Array, alpha: Array, first: int, end: int) -> None:
     """Write the rows with their weights, whose sum is 1, in place of the oldest; four at a time.
 

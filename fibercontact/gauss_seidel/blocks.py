@@ -10,7 +10,7 @@ from scipy.sparse import bsr_array, csr_array
 from fibercontact.gauss_seidel.parts import Parts, divide
 from fibercontact.gauss_seidel.team import Team, alone, share, wait
 from fibercontact.gauss_seidel.vectors import PAD, STRIDE, add_block
-from fibercontact.jit import jit, jit_sum
+from fibercontact.jit import jit, jit_lean, jit_sum
 from fibercontact.problem.cone import COULOMB, natural_map
 from fibercontact.problem.incremental import IncrementalProblem
 
@@ -82,7 +82,7 @@ def _whole(slots: NDArray[np.int32], first: int, k: int, end: int) -> int:
     return k
 
 
-@jit
+@jit_lean
 def push_impulses(
     s: BlockSystem,
     order: NDArray[np.int32],
@@ -145,7 +145,7 @@ def _squares(
     return total
 
 
-@jit
+@jit_lean
 def squares(s: BlockSystem, r: Array, u: Array, stride: int, facets: int, first: int, end: int) -> float:
     """Sum of the squares of the natural map over the contacts `first..end`."""
     if facets == COULOMB and stride == STRIDE:  # with these known, several contacts at a time

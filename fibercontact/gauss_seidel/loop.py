@@ -43,7 +43,7 @@ from fibercontact.gauss_seidel.sweep import LAST_FAILURE, Sweeper, sweep
 from fibercontact.gauss_seidel.team import Team, alone, share, wait
 from fibercontact.gauss_seidel.vectors import STRIDE
 from fibercontact.gauss_seidel.visit_log import CURED, VisitLog
-from fibercontact.jit import jit
+from fibercontact.jit import jit, jit_lean
 from fibercontact.local.contract import KERNEL_SIGNATURE, SEVERAL_SIGNATURE
 from fibercontact.local.several import one_by_one
 from fibercontact.problem.cone import COULOMB, project
@@ -99,7 +99,7 @@ def new_state(
     return State(parts, still, r.copy(), visits, outside, np.zeros(3 * n), sums, failed), memory
 
 
-@jit
+@jit_lean
 def into_cones(
     s: BlockSystem, how: Sweeper, m: Memory, state: State, least: float, first: int, end: int
 ) -> float:
@@ -132,7 +132,7 @@ def into_cones(
     return total
 
 
-@jit
+@jit_lean
 def project_impulses(s: BlockSystem, facets: int, r: Array, first: int, end: int) -> None:
     """Project the impulses of the contacts `first..end` on their cones."""
     mu = s.mu

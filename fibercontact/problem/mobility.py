@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
-from fibercontact.jit import jit
+from fibercontact.jit import jit, jit_lean
 from fibercontact.problem.incremental import ProblemError
 from fibercontact.problem.memory import check_memory
 from fibercontact.threads import over_ranges
@@ -79,18 +79,22 @@ class Mobility:
         start = _starts(arms, self.factor)
         check_memory("H M⁻¹ Hᵀ", 3 * int(start[-1]))
         Y = np.zeros((start[-1], 3))
-        over_ranges(
-            lambda *those: _half_responses(H.indptr, H.indices, H.data, arms, self.factor, start, Y, *those),
-            n,
-            _CONTACTS,
-        )
+
+        def respond(begin: int, stop: int) -> None:
+            arm_on = np.empty(len(self.factor.rod), dtype=np.int64)
+            _half_responses(H.indptr, H.indices, H.data, arms, self.factor, start, Y, arm_on, begin, stop)
+
+        over_ranges(respond, n, _CONTACTS)
         by_rod = _group_by_rod(arms, len(self.factor.rod))
         check_memory("W", 9 * _fewest_blocks(arms, by_rod))
         indptr, indices = _pattern(arms, by_rod)
         data = np.zeros((len(indices), 3, 3))
-        over_ranges(
-            lambda *those: _upper_blocks(arms, start, Y, by_rod, indptr, indices, data, *those), n, _CONTACTS
-        )
+
+        def fill(begin: int, stop: int) -> None:
+            block = np.empty(n, dtype=np.int64)
+            _upper_blocks(arms, start, Y, by_rod, indptr, indices, data, block, begin, stop)
+
+        over_ranges(fill, n, _CONTACTS)
         _mirror_blocks(indptr, indices, data)
         return bsr_array((data, indices, indptr), shape=(3 * n, 3 * n))
 
@@ -185,7 +189,7 @@ def _starts(arms: Arms, factor: Factor) -> Index:
     return start
 
 
-@jit
+@jit_lean
 def _half_responses(
     indptr: Index,
     indices: Index,
@@ -194,11 +198,14 @@ def _half_responses(
     factor: Factor,
     start: Index,
     Y: F64,
+    arm_on: Index,
     begin: int,
     stop: int,
 ) -> None:
-    """Fill the rows of `Y = L⁻¹ Hᵀ`, zero before, of the arms of the contacts in begin..stop."""
-    arm_on = np.empty(len(factor.rod), dtype=np.int64)  # of the contact at hand
+    """Fill the rows of `Y = L⁻¹ Hᵀ`, zero before, of the arms of the contacts in begin..stop.
+
+    `arm_on` (rods,), work space, is the arm of the contact at hand on each of its rods.
+    """
     for i in range(begin, stop):
         for a in range(arms.start[i], arms.start[i + 1]):
             arm_on[arms.rod[a]] = a
@@ -211,7 +218,7 @@ def _half_responses(
             _forward(factor, arms.first[a], Y[start[a] : start[a + 1]])
 
 
-@jit
+@jit_lean
 def _forward(factor: Factor, begin: int, y: F64) -> None:
     """`y ← L⁻¹ y` for three right-hand sides that are zero before row `begin` of the factor."""
     for i in range(begin, begin + len(y)):
@@ -288,7 +295,7 @@ def _pattern(arms: Arms, by_rod: ByRod) -> tuple[Index, Index]:
     return indptr, indices
 
 
-@jit
+@jit_lean
 def _upper_blocks(
     arms: Arms,
     start: Index,
@@ -297,11 +304,14 @@ def _upper_blocks(
     indptr: Index,
     indices: Index,
     data: F64,
+    block: Index,
     begin: int,
     stop: int,
 ) -> None:
-    """Fill the blocks `W_ij = Σ_rods Y_iᵀ Y_j`, zero before, of the rows i in begin..stop with j >= i."""
-    block = np.empty(len(indptr), dtype=np.int64)  # where block (i, j) of the current row is
+    """Fill the blocks `W_ij = Σ_rods Y_iᵀ Y_j`, zero before, of the rows i in begin..stop with j >= i.
+
+    `block` (n,), work space, is where block (i, j) of the current row is.
+    """
     for i in range(begin, stop):
         for at in range(indptr[i], indptr[i + 1]):
             block[indices[at]] = at
@@ -322,11 +332,13 @@ def _mirror_blocks(indptr: Index, indices: Index, data: F64) -> None:
         for at in range(indptr[i], indptr[i + 1]):
             j = indices[at]
             if j > i:
-                data[mirror[j]] = data[at].T
+                for a in range(3):
+                    for c in range(3):
+                        data[mirror[j], a, c] = data[at, c, a]
                 mirror[j] += 1
 
 
-@jit
+@jit_lean
 def _add_product(A: F64, B: F64, block: F64) -> None:
     """`block += Aᵀ B` for two arrays of rows of three."""
     for i in range(3):

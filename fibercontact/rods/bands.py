@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from fibercontact.jit import jit
+from fibercontact.jit import jit_lean
 
 __all__ = ["add_blocks", "cholesky", "solve", "sparse"]
 
@@ -47,14 +47,14 @@ def times(bands: Array, vector: Array) -> Array:
 
 def cholesky(bands: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Factors L (R, w + 1, D) with `A = L Lᵀ`, and whether each was found; else A is not positive definite."""
-    factor = bands.copy()
-    return factor, _factorise(factor)
+    factor, definite = bands.copy(), np.ones(len(bands), dtype=np.bool_)
+    _factorise(factor, definite)
+    return factor, definite
 
 
-@jit
-def _factorise(L: Array) -> NDArray[np.bool_]:
+@jit_lean
+def _factorise(L: Array, definite: NDArray[np.bool_]) -> None:
     R, width, D = L.shape
-    definite = np.ones(R, dtype=np.bool_)
     for rod in range(R):
         A = L[rod]
         for j in range(D):
@@ -70,7 +70,6 @@ def _factorise(L: Array) -> NDArray[np.bool_]:
                 for k in range(max(0, i - width + 1), j):
                     A[i - j, j] -= A[i - k, k] * A[j - k, k]
                 A[i - j, j] /= A[0, j]
-    return definite
 
 
 def solve(factor: Array, rhs: Array) -> Array:
@@ -80,7 +79,7 @@ def solve(factor: Array, rhs: Array) -> Array:
     return x
 
 
-@jit
+@jit_lean
 def _solve(L: Array, x: Array) -> None:
     R, width, D = L.shape
     for rod in range(R):

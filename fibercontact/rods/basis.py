@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fibercontact.jit import jit
+from fibercontact.jit import jit, jit_lean
 from fibercontact.rods import superclothoid, superhelix
 
 __all__ = ["CLOTHOID", "HELIX", "Path", "carry", "element_count", "new_path", "shape", "shapes"]
@@ -27,7 +27,7 @@ def shapes(basis: int) -> int:
     return superclothoid.SHAPES if basis == CLOTHOID else superhelix.SHAPES
 
 
-@jit
+@jit_lean
 def element_count(basis: int, q: Array) -> int:
     """Count the elements of rods with coefficients `q` (R, N, 3)."""
     return q.shape[1] + 1 - shapes(basis)
@@ -53,7 +53,7 @@ def new_path(places: int) -> Path:
     return Path(np.empty(places), np.empty((places, 3, 3)), np.empty((places, 3)))
 
 
-@jit
+@jit_lean
 def carry(basis: int, coefficients: Array, length: float, frame: Array, position: Array, path: Path) -> None:
     """Fill the frames and positions of `path` from those at the start of its element.
 

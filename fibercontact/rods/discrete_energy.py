@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fibercontact.jit import jit
+from fibercontact.jit import jit, jit_lean
 from fibercontact.rods.discrete_model import DiscreteRods, DiscreteState, material_director
 from fibercontact.rods.vectors import Vector, cross, row
 
@@ -89,7 +89,7 @@ def derivatives(law: Law, state: DiscreteState, at: Frames) -> Derivatives:
     R, nodes = law.target.shape[:2]
     gradient, hessian = np.zeros((R, nodes, 8)), np.zeros((R, nodes, 8, 8))
     stress = law.stiffness * (strains(state, at) - law.target)
-    _fill(at, stress, law.stiffness, gradient, hessian)
+    _fill(at, stress, law.stiffness, np.empty((3, 8)), gradient, hessian)
     tension = law.spring * (at.length - law.natural)
     return Derivatives(gradient, hessian, tension, law.spring, tension / at.length)
 
@@ -124,9 +124,10 @@ def _node(t: Vector, u: Vector, e: float, f: float) -> _Node:
     return _Node(t, u, e, f, chi, binormal, _combine(1 / chi, t, 1 / chi, u))
 
 
-@jit
-def _fill(at: Frames, stress: Array, stiffness: Array, gradient: Array, hessian: Array) -> None:
-    slopes = np.empty((3, 8))
+@jit_lean
+def _fill(
+    at: Frames, stress: Array, stiffness: Array, slopes: Array, gradient: Array, hessian: Array
+) -> None:
     for rod in range(stress.shape[0]):
         for i in range(stress.shape[1]):
             node = _node(
@@ -145,7 +146,7 @@ def _fill(at: Frames, stress: Array, stiffness: Array, gradient: Array, hessian:
             _add_squares(stiffness[rod, i], force, slopes, gradient[rod, i], H)
 
 
-@jit
+@jit_lean
 def _add_squares(stiffness: Array, stress: Array, slopes: Array, gradient: Array, H: Array) -> None:
     """Add `Σ_a stress_a slopes_a` to the gradient and `Σ_a stiffness_a slopes_a slopes_aᵀ` to the Hessian."""
     for a in range(3):
@@ -155,7 +156,7 @@ def _add_squares(stiffness: Array, stress: Array, slopes: Array, gradient: Array
                 H[p, q] += stiffness[a] * slopes[a, p] * slopes[a, q]
 
 
-@jit
+@jit_lean
 def _twist(node: _Node, stress: float, slope: Array, H: Array) -> None:
     """Set the slope of the twist, and add its curvature times `stress` to H."""
     binormal, mean, t, u, e, f = node.binormal, node.mean, node.t, node.u, node.e, node.f
@@ -173,7 +174,7 @@ def _twist(node: _Node, stress: float, slope: Array, H: Array) -> None:
             H[4 + d, c] -= ef
 
 
-@jit
+@jit_lean
 def _add_cross(a: Vector, c: int, weight: float, H: Array) -> None:
     """Add row c of `weight [a]×` to the block (e, f) of H, and its transpose to the block (f, e)."""
     j, k = (c + 1) % 3, (c + 2) % 3
@@ -191,7 +192,7 @@ def _slopes(node: _Node, kappa: float, m: Vector) -> tuple[Vector, Vector]:
     return along_e, along_f
 
 
-@jit
+@jit_lean
 def _bend(
     node: _Node, m_e: Vector, m_f: Vector, n_e: Vector, n_f: Vector, stress: float, slope: Array, H: Array
 ) -> None:
@@ -211,7 +212,7 @@ def _bend(
     _add_directions(node, m, m_e, m_f, kappa, stress, H)
 
 
-@jit
+@jit_lean
 def _add_turns(node: _Node, at: int, m: Vector, n: Vector, slope: float, stress: float, H: Array) -> None:
     """Add the second derivatives that have the twist in place `at`, whose director is m."""
     along_e, along_f = _slopes(node, slope, _combine(1 / node.chi, n, 0.0, n))
@@ -222,7 +223,7 @@ def _add_turns(node: _Node, at: int, m: Vector, n: Vector, slope: float, stress:
             H[at, p] += stress * value
 
 
-@jit
+@jit_lean
 def _add_directions(
     node: _Node, m: Vector, m_e: Vector, m_f: Vector, kappa: float, stress: float, H: Array
 ) -> None:

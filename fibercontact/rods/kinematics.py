@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fibercontact.jit import jit
+from fibercontact.jit import jit, jit_lean
 from fibercontact.rods.basis import Path, carry, element_count, new_path, shape, shapes
 from fibercontact.rods.model import Rods, RootMotion, State, checked_points, dofs, part
 from fibercontact.rods.quadrature import Rule, gauss
@@ -129,7 +129,7 @@ def tabulate(rods: Rods, state: State) -> Elements:
     return elements
 
 
-@jit
+@jit_lean
 def add_moments(
     basis: int,
     rule: Rule,
@@ -155,7 +155,7 @@ def add_moments(
                     B[a, i, c] += weight * n_x_r[c]
 
 
-@jit
+@jit_lean
 def add_columns(j: int, A: Array, B: Array, r: Array, jacobian: Array) -> None:
     """Add `A × r − B` of coefficient j, moments (3, 3), to the Jacobian (3, 3N) of the point `r`."""
     for i in range(3):
@@ -164,7 +164,7 @@ def add_columns(j: int, A: Array, B: Array, r: Array, jacobian: Array) -> None:
             jacobian[c, 3 * j + i] += turned[c] - B[i, c]
 
 
-@jit
+@jit_lean
 def set_root_columns(r: Array, jacobian: Array) -> None:
     """Set the first six columns of the Jacobian (3, D) of a free rod: `v_root + omega_root × r`."""
     for c in range(3):
@@ -174,7 +174,7 @@ def set_root_columns(r: Array, jacobian: Array) -> None:
     jacobian[2, 3], jacobian[2, 4] = r[1], -r[0]
 
 
-@jit
+@jit_lean
 def _place_nodes(rule: Rule, end: float, path: Path) -> None:
     """Put a path through the nodes of the part [0, end] of an element and through its end."""
     n = len(rule.nodes)
@@ -185,15 +185,21 @@ def _place_nodes(rule: Rule, end: float, path: Path) -> None:
 
 @jit
 def _fill_elements(rods: Rods, state: State, rule: Rule, elements: Elements) -> None:
+    _walk(rods, state, rule, new_path(len(rule.nodes) + 1), np.zeros(3), elements)
+
+
+@jit_lean
+def _walk(rods: Rods, state: State, rule: Rule, path: Path, origin: Array, elements: Elements) -> None:
     E, n, a = element_count(rods.basis, state.q), len(rule.nodes), shapes(rods.basis)
-    path = new_path(n + 1)
     _place_nodes(rule, 1.0, path)
     for rod in range(len(rods.length)):
-        frame, position = state.root_frame[rod], np.zeros(3)
+        frame, position = state.root_frame[rod], origin
         length = rods.length[rod] / E
         for e in range(E):
-            elements.frame[rod, e] = frame
-            elements.position[rod, e] = position
+            for c in range(3):
+                elements.position[rod, e, c] = position[c]
+                for i in range(3):
+                    elements.frame[rod, e, c, i] = frame[c, i]
             A, B = elements.A[rod, e], elements.B[rod, e]
             carry(rods.basis, state.q[rod, e : e + a], length, frame, position, path)
             add_moments(rods.basis, rule, 0.0, 1.0, length, path.frame, path.position, A, B)
@@ -210,34 +216,50 @@ def _fill_points(
     s: Array,
     points: Points,
 ) -> None:
-    E, n, count = element_count(rods.basis, state.q), len(rule.nodes), shapes(rods.basis)
-    path = new_path(n + 1)
+    count, path = shapes(rods.basis), new_path(len(rule.nodes) + 1)
     A, B = np.empty((count, 3, 3)), np.empty((count, 3, 3))
     for p in range(len(s)):
-        k = rod[p]
-        length = rods.length[k] / E
-        e = min(int(s[p] / length), E - 1)
-        xi = s[p] / length - e
-        _place_nodes(rule, xi, path)
-        frame, start = elements.frame[k, e], elements.position[k, e]
-        carry(rods.basis, state.q[k, e : e + count], length, frame, start, path)
-        A[:] = 0.0
-        B[:] = 0.0
-        add_moments(rods.basis, rule, 0.0, xi, length, path.frame, path.position, A, B)
-        r, jacobian = points.position[p], points.jacobian[p]
-        for c in range(3):
-            r[c] = path.position[n, c]
-            for i in range(3):
-                points.frame[p, c, i] = path.frame[n, c, i]
-        columns = jacobian[:, 6 * rods.free :]
-        for a in range(count):
-            for before in range(e):
-                add_columns(before + a, elements.A[k, before, a], elements.B[k, before, a], r, columns)
-            add_columns(e + a, A[a], B[a], r, columns)
-        if rods.free:
-            set_root_columns(r, jacobian)
-        for c in range(3):
-            r[c] += state.root_position[k, c]
+        _fill_point(rods, state, elements, rule, rod[p], s[p], path, A, B, points, p)
+
+
+@jit_lean
+def _fill_point(
+    rods: Rods,
+    state: State,
+    elements: Elements,
+    rule: Rule,
+    k: int,
+    s: float,
+    path: Path,
+    A: Array,
+    B: Array,
+    points: Points,
+    p: int,
+) -> None:
+    E, n, count = element_count(rods.basis, state.q), len(rule.nodes), shapes(rods.basis)
+    length = rods.length[k] / E
+    e = min(int(s / length), E - 1)
+    xi = s / length - e
+    _place_nodes(rule, xi, path)
+    frame, start = elements.frame[k, e], elements.position[k, e]
+    carry(rods.basis, state.q[k, e : e + count], length, frame, start, path)
+    A[:] = 0.0
+    B[:] = 0.0
+    add_moments(rods.basis, rule, 0.0, xi, length, path.frame, path.position, A, B)
+    r, jacobian = points.position[p], points.jacobian[p]
+    for c in range(3):
+        r[c] = path.position[n, c]
+        for i in range(3):
+            points.frame[p, c, i] = path.frame[n, c, i]
+    columns = jacobian[:, 6 * rods.free :]
+    for a in range(count):
+        for before in range(e):
+            add_columns(before + a, elements.A[k, before, a], elements.B[k, before, a], r, columns)
+        add_columns(e + a, A[a], B[a], r, columns)
+    if rods.free:
+        set_root_columns(r, jacobian)
+    for c in range(3):
+        r[c] += state.root_position[k, c]
 
 
 @jit
@@ -245,10 +267,25 @@ def _fill_centreline(
     rods: Rods, state: State, elements: Elements, first: NDArray[np.int64], xi: Array, vertices: Array
 ) -> None:
     """Fill vertices relative to the root: those from `first[e]` up to `first[e + 1]` lie at `xi` in element e."""
-    E, a, frames = element_count(rods.basis, state.q), shapes(rods.basis), np.empty((len(xi), 3, 3))
+    frames = np.empty((len(xi), 3, 3))
     for rod in range(len(rods.length)):
-        for e in range(E):
-            k, end = first[e], first[e + 1]
-            path = Path(xi[k:end], frames[k:end], vertices[rod, k:end])
-            frame, start = elements.frame[rod, e], elements.position[rod, e]
-            carry(rods.basis, state.q[rod, e : e + a], rods.length[rod] / E, frame, start, path)
+        _fill_vertices(rods, state, elements, first, xi, frames, rod, vertices)
+
+
+@jit_lean
+def _fill_vertices(
+    rods: Rods,
+    state: State,
+    elements: Elements,
+    first: NDArray[np.int64],
+    xi: Array,
+    frames: Array,
+    rod: int,
+    vertices: Array,
+) -> None:
+    E, a = element_count(rods.basis, state.q), shapes(rods.basis)
+    for e in range(E):
+        k, end = first[e], first[e + 1]
+        path = Path(xi[k:end], frames[k:end], vertices[rod, k:end])
+        frame, start = elements.frame[rod, e], elements.position[rod, e]
+        carry(rods.basis, state.q[rod, e : e + a], rods.length[rod] / E, frame, start, path)

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fibercontact.jit import jit
+from fibercontact.jit import jit, jit_lean
 from fibercontact.rods.basis import Path, carry, element_count, new_path, shape, shapes
 from fibercontact.rods.kinematics import add_columns, add_moments, set_root_columns
 from fibercontact.rods.model import Rods, RootMotion, State, dofs
@@ -76,8 +76,10 @@ def _fill_samples(
     stages = _Stages(np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)))
     moments = np.empty((2, rods.q_rest.shape[1], 3, 3))
     ends, path = _element_path(points, rule)
+    origin = np.zeros(3)
+    motion = RootMotion(np.empty(3), np.empty(3), np.empty(3), np.empty(3))
     for rod in range(len(rods.length)):
-        _walk(rods, state, root, rod, ends, path, rule, stages, moments, samples)
+        _walk(rods, state, root, rod, ends, path, rule, origin, motion, stages, moments, samples)
 
 
 @jit
@@ -91,7 +93,7 @@ def _element_path(points: Rule, rule: Rule) -> tuple[Array, Path]:
     return ends, path
 
 
-@jit
+@jit_lean
 def _walk(
     rods: Rods,
     state: State,
@@ -100,19 +102,19 @@ def _walk(
     ends: Array,
     path: Path,
     rule: Rule,
+    origin: Array,
+    motion: RootMotion,
     stages: _Stages,
     moments: Array,
     samples: Samples,
 ) -> None:
     E, G, n, a = element_count(rods.basis, state.q), len(ends) - 1, len(rule.nodes), shapes(rods.basis)
     length, qdot = rods.length[rod] / E, state.v[rod, 6 * rods.free :]
-    frame, position = state.root_frame[rod], np.zeros(3)
-    motion = RootMotion(
-        root.velocity[rod].copy(),
-        root.angular_velocity[rod].copy(),
-        root.acceleration[rod].copy(),
-        root.angular_acceleration[rod].copy(),
-    )
+    frame, position = state.root_frame[rod], origin
+    for c in range(3):
+        motion.velocity[c], motion.angular_velocity[c] = root.velocity[rod, c], root.angular_velocity[rod, c]
+        motion.acceleration[c] = root.acceleration[rod, c]
+        motion.angular_acceleration[c] = root.angular_acceleration[rod, c]
     moments[:] = 0.0
     for e in range(E):
         rates, A, B = qdot[3 * e : 3 * (e + a)], moments[0, e : e + a], moments[1, e : e + a]
@@ -130,7 +132,7 @@ def _walk(
         frame, position = path.frame[-1], path.position[-1]
 
 
-@jit
+@jit_lean
 def _march(
     basis: int,
     rule: Rule,
@@ -164,7 +166,7 @@ def _march(
         _add(motion.acceleration, weight, cross(omega, v_rate))
 
 
-@jit
+@jit_lean
 def _set_omega_rate(basis: int, xi: float, rates: Array, frame: Array, omega_rate: Array) -> None:
     """Set `Σ phi_a rates_{a,i} n_i` at the point `xi` of an element."""
     for c in range(3):
@@ -175,7 +177,7 @@ def _set_omega_rate(basis: int, xi: float, rates: Array, frame: Array, omega_rat
         omega_rate[c] = total
 
 
-@jit
+@jit_lean
 def _stage(rule: Rule, k: int, h: float, start: Vector, rates: Array) -> Vector:
     """Value at node k of what begins at `start` and changes at `rates` (n, 3)."""
     x = y = z = 0.0
@@ -187,19 +189,19 @@ def _stage(rule: Rule, k: int, h: float, start: Vector, rates: Array) -> Vector:
     return start[0] + h * x, start[1] + h * y, start[2] + h * z
 
 
-@jit
+@jit_lean
 def _set(out: Array, vector: Vector) -> None:
     for c in range(3):
         out[c] = vector[c]
 
 
-@jit
+@jit_lean
 def _add(out: Array, weight: float, vector: Vector) -> None:
     for c in range(3):
         out[c] += weight * vector[c]
 
 
-@jit
+@jit_lean
 def _record(
     free: bool,
     rod: int,
@@ -211,12 +213,12 @@ def _record(
     samples: Samples,
 ) -> None:
     """Store the quadrature point `g`; `moments` holds those of the coefficients upstream, up to the point."""
-    samples.position[rod, g] = r
-    samples.tangent[rod, g] = tangent
-    samples.velocity[rod, g] = motion.velocity
-    samples.angular_velocity[rod, g] = motion.angular_velocity
-    samples.acceleration[rod, g] = motion.acceleration
-    samples.angular_acceleration[rod, g] = motion.angular_acceleration
+    for c in range(3):
+        samples.position[rod, g, c], samples.tangent[rod, g, c] = r[c], tangent[c]
+        samples.velocity[rod, g, c] = motion.velocity[c]
+        samples.angular_velocity[rod, g, c] = motion.angular_velocity[c]
+        samples.acceleration[rod, g, c] = motion.acceleration[c]
+        samples.angular_acceleration[rod, g, c] = motion.angular_acceleration[c]
     jacobian = samples.jacobian[rod, g]
     for j in range(moments.shape[1]):
         add_columns(j, moments[0, j], moments[1, j], r, jacobian[:, 6 * free :])
@@ -225,7 +227,7 @@ def _record(
         _set_turning(moments[0], samples.turning[rod, g])
 
 
-@jit
+@jit_lean
 def _set_turning(A: Array, turning: Array) -> None:
     for c in range(3):
         turning[c, 3 + c] = 1.0

@@ -20,7 +20,7 @@ less than 5. An element that turns by θ has `1 + θ/STEP` parts, whose errors a
 import numpy as np
 from numpy.typing import NDArray
 
-from fibercontact.jit import jit
+from fibercontact.jit import jit, jit_lean
 from fibercontact.rods.vectors import Vector, along, cross, norm, row, scaled
 
 __all__ = ["SHAPES", "shape", "transport"]
@@ -41,7 +41,7 @@ def shape(a: int, xi: float) -> float:
     return xi if a == 1 else 1 - xi
 
 
-@jit
+@jit_lean
 def transport(
     coefficients: Array,
     length: float,

@@ -7,7 +7,7 @@ of frame and centreline along it. Coefficient `e` belongs to element `e`.
 import numpy as np
 from numpy.typing import NDArray
 
-from fibercontact.jit import jit
+from fibercontact.jit import jit, jit_lean
 from fibercontact.rods.vectors import Vector, row
 
 __all__ = ["SHAPES", "rotation_series", "shape", "transport"]
@@ -36,7 +36,7 @@ def rotation_series(angle2: float) -> tuple[float, float, float]:
     return a, (1 - np.cos(angle)) / angle2, (1 - a) / angle2
 
 
-@jit
+@jit_lean
 def transport(
     coefficients: Array,
     length: float,
@@ -56,7 +56,7 @@ def transport(
         _follow_arc(row(coefficients[0]), places[k] * length, frame, position, frames[k], positions[k])
 
 
-@jit
+@jit_lean
 def _follow_arc(
     kappa: Vector, x: float, frame: Array, position: Array, frame_out: Array, position_out: Array
 ) -> None:

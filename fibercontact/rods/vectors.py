@@ -3,20 +3,20 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from fibercontact.jit import jit
+from fibercontact.jit import jit, jit_lean
 
 __all__ = ["Vector", "along", "column", "cross", "norm", "row", "scaled"]
 
 Vector = tuple[float, float, float]
 
 
-@jit
+@jit_lean
 def row(vector: NDArray[np.float64]) -> Vector:
     """Vector (3,) as a tuple."""
     return vector[0], vector[1], vector[2]
 
 
-@jit
+@jit_lean
 def column(matrix: NDArray[np.float64], i: int) -> Vector:
     """Column of a matrix (3, 3) as a tuple."""
     return matrix[0, i], matrix[1, i], matrix[2, i]
