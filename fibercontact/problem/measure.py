@@ -76,7 +76,7 @@ def measure(problem: IncrementalProblem, r: Array, facets: int = COULOMB) -> Mea
         raise ValueError(f"r must have shape ({3 * problem.n},), not {r.shape}")
     with np.errstate(over="ignore", invalid="ignore"):
         u = problem.W @ r + problem.b
-        if not np.isfinite(r @ r + u @ u):
+        if not np.isfinite(np.square(r).sum() + np.square(u).sum()):
             return Measure(*[math.inf] * 8)
         squares = np.zeros(3)
         _sums(u, np.ascontiguousarray(r), problem.mu, problem.sigma, facets, squares)
