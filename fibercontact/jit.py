@@ -9,11 +9,13 @@ import hashlib
 import os
 import re
 import shutil
+import signal
 import sys
 import tempfile
+import threading
 import warnings
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -21,6 +23,7 @@ from typing import Any
 import numba
 from numba.core import config
 from numba.core.caching import FunctionCache
+from numba.core.codegen import CPUCodeLibrary
 
 from fibercontact.errors import NO_CACHE
 
@@ -133,4 +136,34 @@ def jit_sum(function: Callable[..., Any]) -> Any:
     return _compiled(function, fastmath={"reassoc", "contract"})
 
 
+@contextmanager
+def _signals_later() -> Iterator[None]:
+    """Hold back what interruptions do until the end of the block."""
+    came: list[Any] = []
+    handlers: dict[signal.Signals, Callable[..., Any]] = {}
+    if threading.current_thread() is threading.main_thread():  # elsewhere Python runs no handlers
+        for code in (signal.SIGINT, signal.SIGTERM):
+            if callable(handler := signal.getsignal(code)):
+                handlers[code] = handler
+    for code in handlers:
+        signal.signal(code, lambda *arguments: came.append(arguments))
+    try:
+        yield
+    finally:
+        for code, handler in handlers.items():
+            signal.signal(code, handler)
+        for arguments in came:
+            handlers[arguments[0]](*arguments)
+
+
+def _finalize(library: Any, finalize: Callable[[Any], None] = CPUCodeLibrary.finalize) -> None:
+    """Make machine code, as numba does it, uninterrupted.
+
+    LLVM hands it over by calling back. An exception there is lost, and numba fails for want of what it was not given.
+    """
+    with _signals_later():
+        finalize(library)
+
+
+CPUCodeLibrary.finalize = _finalize
 config.CACHE_DIR = str(cache_folder() or "")

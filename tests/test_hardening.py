@@ -19,6 +19,7 @@ from oracles import strands, walls
 from typer.testing import CliRunner
 
 import fibercontact
+from fibercontact import jit
 from fibercontact.bench.figures import save
 from fibercontact.bench.rows import RowFile
 from fibercontact.cli import app
@@ -427,3 +428,18 @@ def test_an_interruption_when_all_is_done_changes_nothing(tmp_path, code):
     done = child("-c", LATE.format(code=int(code)), "solvers")
     assert (done.returncode, done.stderr) == (0, "")
     assert "secular" in done.stdout
+
+
+def test_machine_code_is_made_without_interruption():
+    """An interruption inside would be lost, or crash; it comes when the code is there."""
+    done = []
+
+    def make(library):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)  # the interpreter would have looked by now
+        done.append(library)
+
+    with pytest.raises(KeyboardInterrupt):
+        jit._finalize("code", make)
+    assert done == ["code"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

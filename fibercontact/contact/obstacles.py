@@ -95,7 +95,9 @@ class Plane(Obstacle):
 
     def signed_distance(self, points: Floats) -> tuple[Floats, Floats]:
         """Distance (m,) to the plane and normals (m, 3)."""
-        return np.einsum("mi,i->m", points - self.point, self.normal), np.broadcast_to(self.normal, points.shape)
+        return np.einsum("mi,i->m", points - self.point, self.normal), np.broadcast_to(
+            self.normal, points.shape
+        )
 
     def moved(self, dt: float) -> Self:
         """The plane after a time `dt`, in s."""
@@ -142,7 +144,9 @@ class Cylinder(Obstacle):
         _check_positive("length", self.length, np.inf)
 
     def _on_axis(self, points: Floats) -> Floats:
-        along = np.clip(np.einsum("mi,i->m", points - self.point, self.axis), -0.5 * self.length, 0.5 * self.length)
+        along = np.clip(
+            np.einsum("mi,i->m", points - self.point, self.axis), -0.5 * self.length, 0.5 * self.length
+        )
         return self.point + along[:, None] * self.axis
 
     def signed_distance(self, points: Floats) -> tuple[Floats, Floats]:
