@@ -146,7 +146,7 @@ def row_of_roofline(laid: Laid, repetitions: int) -> dict[str, float]:
     r, u, team = np.ones(3 * n), new_velocity(parts), alone(len(parts.parts) - 1)
     chosen = configure("secular", registered())
     assert isinstance(chosen, Configured)
-    never = Acceleration(sweeps=1000, window=1)
+    never = Acceleration(sweeps=1000, window=2)
     sweeps = GaussSeidel(chosen, 0.0, 40, 30.0, 40, 0.0, never, negligible=0.0, rescue_after=0)
     visits = sweeps.solve_system(system, laid.problem.b_ref).visits
     asked = visits.total - visits.left_out
