@@ -432,6 +432,7 @@ def test_an_interruption_when_all_is_done_changes_nothing(tmp_path, code):
 
 def test_machine_code_is_made_without_interruption():
     """An interruption inside would be lost, or crash; it comes when the code is there."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a process in the background has none
     done = []
 
     def make(library):
@@ -439,7 +440,10 @@ def test_machine_code_is_made_without_interruption():
         time.sleep(0.01)  # the interpreter would have looked by now
         done.append(library)
 
-    with pytest.raises(KeyboardInterrupt):
-        jit._finalize("code", make)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            jit._finalize("code", make)
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert done == ["code"]
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
