@@ -225,7 +225,9 @@ def sweep_part(
             d0, d1, d2 = new[0] - old[0], new[1] - old[1], new[2] - old[2]
             if sigma * max(abs(d0), abs(d1), abs(d2)) > how.negligible:
                 r[3 * i], r[3 * i + 1], r[3 * i + 2] = new[0], new[1], new[2]
+                ahead = 9 * (starts[together[min(lane + 1, count - 1)]] - starts[i])
                 for j in range(starts[i], starts[i + 1]):
+                    fetch(blocks, 9 * j + ahead)  # the next one's row, while this one is pushed
                     add_block(u, STRIDE * targets[j], blocks, 9 * j, d0, d1, d2)
                 still[at] = math.inf
             else:
